@@ -1,0 +1,247 @@
+"""The data set on disk: Zarr v3 arrays beside a JSON manifest, read and written through TensorStore.
+
+`root` is a folder or any TensorStore key-value URL (file://, gs://, s3://). It holds
+
+  manifest.json               what `Manifest` describes
+  failures.json               {model id: reason} of the models that could not be made
+  views          [N,V,H,W,4]  u8   sRGB and alpha; one chunk a view
+  surface_index  [N,C,3]      u8   voxel (i, j, k), PADDING_INDEX past the count; one chunk a model
+  surface_color  [N,C,3]      u8   sRGB albedo
+  visible        [N,V,C]      u8   1 where the view sees the voxel; one chunk a view
+  flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel; one chunk a view
+  surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
+
+Row n of every array is model n of the manifest. No two models share a chunk, so any number of
+processes may write their own models at the same time, and a model is there only when it is whole.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import tensorstore as ts
+
+from cvn import camera, grid
+from cvn.errors import UserError
+
+FORMAT = 1
+SURFACE_CAPACITY = 32768  # of 262,144 voxels; a solid cube's shell has 23,816
+SPLITS = ('train', 'val', 'test')
+
+
+class Model(NamedTuple):
+  """One planned row: where a model comes from and what it is used for."""
+
+  id: str
+  category: str
+  split: str  # 'train', 'val' or 'test'
+  source: str  # file or generator it was made from
+  licence: str = ''
+  creator: str = ''
+
+
+class Manifest(NamedTuple):
+  """What the data set holds, and how it was made."""
+
+  models: tuple[Model, ...]
+  azimuths: tuple[float, ...]  # degrees, one a view
+  image_size: int
+  grid_size: int
+  capacity: int  # C, the most surface voxels a record can hold
+  settings: dict[str, Any]  # the generator's flags and version
+
+
+class Record(NamedTuple):
+  """One model: V views and S surface voxels."""
+
+  views: np.ndarray  # [V, H, W, 4] u8
+  surface_index: np.ndarray  # [S, 3] u8, in row-major order of the voxels
+  surface_color: np.ndarray  # [S, 3] u8
+  visible: np.ndarray  # [V, S] bool
+  flow: np.ndarray  # [V, S, 2] float, (u, v) in [0, 1]
+
+
+class Dataset(NamedTuple):
+  """An open data set."""
+
+  root: str  # TensorStore URL, ends in '/'
+  manifest: Manifest
+  arrays: dict[str, ts.TensorStore]
+
+
+def to_url(root: str) -> str:
+  """The TensorStore URL of a folder name or URL, with a slash at its end."""
+  url = root if '://' in root else 'file://' + os.path.abspath(root)
+  return url.rstrip('/') + '/'
+
+
+def encode_flow(flow):
+  """(u, v) in [0, 1] -> u16."""
+  return np.round(np.clip(flow, 0, 1) * 65535).astype(np.uint16)
+
+
+def decode_flow(flow):
+  """The inverse of `encode_flow`, as float32."""
+  return np.asarray(flow, np.float32) / 65535
+
+
+def create(root: str, manifest: Manifest) -> Dataset:
+  """Makes an empty data set: manifest and arrays, no record.
+
+  Raises:
+    UserError: a data set is already there, or the place cannot be written.
+  """
+  url = to_url(root)
+  if read_json(url, 'manifest.json') is not None:
+    raise UserError(f'{root} already holds a data set')
+  arrays = {k: _open_array(url, k, spec) for k, spec in _array_specs(manifest).items()}
+  as_json = manifest._asdict()
+  as_json['models'] = [m._asdict() for m in manifest.models]
+  as_json['cameras'] = [
+    {
+      k: np.asarray(v).tolist()
+      for k, v in camera.camera_at(a, image_size=manifest.image_size)._asdict().items()
+    }
+    for a in manifest.azimuths
+  ]
+  write_json(url, 'manifest.json', {'format': FORMAT, **as_json})
+  return Dataset(url, manifest, arrays)
+
+
+def open_dataset(root: str) -> Dataset:
+  """Opens a data set that `create` made.
+
+  Raises:
+    UserError: there is none, it is damaged, or another version of this program made it.
+  """
+  url = to_url(root)
+  raw = read_json(url, 'manifest.json')
+  if raw is None:
+    raise UserError(f'{root} is no data set: it has no manifest.json (make one: datagen.generate)')
+  if not isinstance(raw, dict) or raw.get('format') != FORMAT:
+    raise UserError(f'{root}/manifest.json is not of format {FORMAT}: make the data set again')
+  try:
+    manifest = Manifest(
+      tuple(Model(**m) for m in raw['models']),
+      tuple(raw['azimuths']),
+      *(raw[k] for k in ('image_size', 'grid_size', 'capacity', 'settings')),
+    )
+    arrays = {k: _open_array(url, k, None) for k in _array_specs(manifest)}
+  except (KeyError, TypeError, ValueError) as e:
+    raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
+  return Dataset(url, manifest, arrays)
+
+
+def write_record(dataset: Dataset, row: int, record: Record) -> None:
+  """Writes one model; a reader sees it only once all of it is there.
+
+  Raises:
+    UserError: the record has no voxel or more than the data set's capacity.
+  """
+  count, capacity = len(record.surface_index), dataset.manifest.capacity
+  if not 0 < count <= capacity:
+    raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
+
+  def padded(x, axis, fill):
+    pad = [(0, 0)] * x.ndim
+    pad[axis] = (0, capacity - count)
+    return np.pad(x, pad, constant_values=fill)
+
+  a = dataset.arrays
+  writes = [
+    a['views'][row].write(record.views),
+    a['surface_index'][row].write(padded(record.surface_index, 0, grid.PADDING_INDEX)),
+    a['surface_color'][row].write(padded(record.surface_color, 0, 0)),
+    a['visible'][row].write(padded(record.visible.astype(np.uint8), 1, 0)),
+    a['flow'][row].write(padded(encode_flow(record.flow), 1, 0)),
+  ]
+  for w in writes:
+    w.result()
+  a['surface_count'][row].write(count).result()
+
+
+def read_record(dataset: Dataset, row: int) -> Record:
+  """Reads one whole model back.
+
+  Raises:
+    UserError: the row's model was not made.
+  """
+  count = int(dataset.arrays['surface_count'][row].read().result())
+  if count == 0:
+    raise UserError(f'{dataset.manifest.models[row].id} is not made yet')
+  a = dataset.arrays
+  reads = [
+    a['views'][row].read(),
+    a['surface_index'][row, :count].read(),
+    a['surface_color'][row, :count].read(),
+    a['visible'][row, :, :count].read(),
+    a['flow'][row, :, :count].read(),
+  ]
+  views, index, color, visible, flow = (r.result() for r in reads)
+  return Record(views, index, color, visible.astype(bool), decode_flow(flow))
+
+
+def surface_counts(dataset: Dataset) -> np.ndarray:
+  """[N] surface voxels of each row; 0 where the model is not made."""
+  return np.asarray(dataset.arrays['surface_count'].read().result())
+
+
+def read_json(root: str, name: str):
+  """A JSON file of the data set, or None where there is none."""
+  try:
+    raw = ts.KvStore.open(to_url(root)).result().read(name).result()
+    return json.loads(raw.value) if raw.state == 'value' else None
+  except (ValueError, json.JSONDecodeError) as e:
+    raise UserError(f'cannot read {root}{name}: {_first_line(e)}') from e
+
+
+def write_json(root: str, name: str, value) -> None:
+  """Writes a JSON file of the data set, whole or not at all."""
+  text = json.dumps(value, indent=1, sort_keys=True) + '\n'
+  try:
+    ts.KvStore.open(to_url(root)).result().write(name, text.encode()).result()
+  except ValueError as e:
+    raise UserError(f'cannot write {root}{name}: {_first_line(e)}') from e
+
+
+def _array_specs(m: Manifest) -> dict[str, tuple[str, Sequence[int], Sequence[int], int]]:
+  """name -> dtype, shape, chunk shape, fill value."""
+  n, v, s, c = len(m.models), len(m.azimuths), m.image_size, m.capacity
+  return {
+    'views': ('uint8', (n, v, s, s, 4), (1, 1, s, s, 4), 0),
+    'surface_index': ('uint8', (n, c, 3), (1, c, 3), grid.PADDING_INDEX),
+    'surface_color': ('uint8', (n, c, 3), (1, c, 3), 0),
+    'visible': ('uint8', (n, v, c), (1, 1, c), 0),
+    'flow': ('uint16', (n, v, c, 2), (1, 1, c, 2), 0),
+    'surface_count': ('uint32', (n,), (1,), 0),
+  }
+
+
+def _open_array(url: str, name: str, spec) -> ts.TensorStore:
+  """Opens the array, or makes it where `spec` is given."""
+  json_spec = {'driver': 'zarr3', 'kvstore': url + name + '/'}
+  if spec is None:
+    return ts.open(json_spec, open=True).result()
+  dtype, shape, chunk, fill = spec
+  json_spec['metadata'] = {
+    'shape': shape,
+    'data_type': dtype,
+    'fill_value': fill,
+    'chunk_grid': {'name': 'regular', 'configuration': {'chunk_shape': chunk}},
+    'codecs': [
+      {'name': 'bytes', 'configuration': {'endian': 'little'}}
+      if dtype != 'uint8'
+      else {'name': 'bytes'},
+      {'name': 'zstd', 'configuration': {'level': 3}},
+    ],
+  }
+  try:
+    return ts.open(json_spec, create=True, open=True).result()
+  except ValueError as e:
+    raise UserError(f'cannot make {url}{name}: {_first_line(e)}') from e
+
+
+def _first_line(e: Exception) -> str:
+  return str(e).strip().split('\n', 1)[0].split(' [tensorstore_spec=', 1)[0]
