@@ -1,4 +1,4 @@
-"""The data set on disk: Zarr v3 arrays beside a JSON manifest, read and written through TensorStore.
+"""The data set on disk: Zarr v3 arrays beside a JSON manifest, all through TensorStore.
 
 `root` is a folder or any TensorStore key-value URL (file://, gs://, s3://). It holds
 

@@ -1,5 +1,31 @@
 """The one exception that means: the user can mend this. Programs print it as one line."""
 
+import os
+import sys
+from collections.abc import Callable
+
+from absl import app
+
 
 class UserError(Exception):
   """Bad input: names the file or value and the way out, in one line."""
+
+
+def run(main: Callable[[list[str]], int | None]) -> None:
+  """Runs an absl program: `UserError` and an interrupt end it with one line and status 1."""
+
+  def guarded(argv):
+    if len(argv) > 1:
+      raise app.UsageError(f'unexpected argument: {argv[1]!r} (flags look like --name=value)')
+    try:
+      return main(argv)
+    except UserError as e:
+      line = ' '.join(str(e).split())
+      print(f'error: {line}', file=sys.stderr)
+    except KeyboardInterrupt:
+      print('interrupted', file=sys.stderr)
+    sys.stderr.flush()
+    # Not sys.exit: it would wait for worker threads of libraries that still hold work.
+    os._exit(1)
+
+  app.run(guarded)
