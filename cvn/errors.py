@@ -1,6 +1,5 @@
 """The one exception that means: the user can mend this. Programs print it as one line."""
 
-import os
 import sys
 from collections.abc import Callable
 
@@ -24,8 +23,6 @@ def run(main: Callable[[list[str]], int | None]) -> None:
       print(f'error: {line}', file=sys.stderr)
     except KeyboardInterrupt:
       print('interrupted', file=sys.stderr)
-    sys.stderr.flush()
-    # Not sys.exit: it would wait for worker threads of libraries that still hold work.
-    os._exit(1)
+    return 1
 
   app.run(guarded)
