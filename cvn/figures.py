@@ -1,0 +1,245 @@
+"""Pictures of volumes and flows: pure drawing, numpy and Pillow only.
+
+Images are uint8 [H, W, 3], sRGB, row 0 on top. Volumes are [X, Y, Z, ...] as in cvn.grid, and
+cameras are those of cvn.camera, here also raised above the object.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from cvn import camera, grid
+
+WHITE = (255, 255, 255)
+SUPERSAMPLING = 2  # pixels are averaged over 2 x 2 samples
+AMBIENT = 0.72  # brightness of a face turned away from the light
+LIGHT = (-0.45, 0.75, 0.5)  # towards the light: left, up and back from where the viewer looks
+
+# The flow's colour at the image's corners (u, v) = (0, 0), (1, 0), (0, 1), (1, 1), bilinear
+# between: blue top left, red top right, green bottom left, yellow bottom right. The four are no
+# plane's corners folded over: every (u, v) has a colour of its own.
+FLOW_CORNERS = np.array([[0.10, 0.30, 1.00], [1.00, 0.15, 0.45], [0.00, 0.75, 0.30], [1.0, 0.9, 0]])
+
+# The blend weight's colours (paper, Figure "res_vis"): at 0 the regressed colour counts, at 1 the
+# sampled one.
+WEIGHT_COLORS = np.array([[0.10, 0.25, 0.85], [1.00, 0.87, 0.10]])
+
+PANEL_AZIMUTHS = (30, 210)  # degrees: the object's front and back, each from its side
+_TEXT_COLOR = (40, 40, 40)
+
+
+def flow_color_code(flow):
+  """The paper's colour code of a flow field (Figure "flow_field", a): one colour a (u, v).
+
+  Args:
+    flow: [..., 2] (u, v) in [0, 1].
+
+  Returns:
+    [..., 3] float sRGB in [0, 1].
+  """
+  u, v = flow[..., :1], flow[..., 1:]
+  top = FLOW_CORNERS[0] * (1 - u) + FLOW_CORNERS[1] * u
+  bottom = FLOW_CORNERS[2] * (1 - u) + FLOW_CORNERS[3] * u
+  return top * (1 - v) + bottom * v
+
+
+def weight_color_code(weight):
+  """Blend weights [...] in [0, 1] -> [..., 3]: yellow trusts the sampled colour, blue the other."""
+  w = np.asarray(weight)[..., None]
+  return WEIGHT_COLORS[0] * (1 - w) + WEIGHT_COLORS[1] * w
+
+
+def draw_voxels(
+  voxels: grid.ColoredVoxels,
+  azimuth: float,
+  *,
+  elevation: float = 20,
+  size: int = 128,
+  background: Sequence[int] = WHITE,
+) -> np.ndarray:
+  """Draws coloured voxels with one light, as seen by a camera that holds the whole cube.
+
+  At elevation 0 this is the camera of the data set's views, so the two can be compared; a raised
+  camera sees the cube's corners wider apart and takes a wider angle.
+
+  Args:
+    voxels: occupancy [X, X, X] bool and color [X, X, X, 3] in [0, 1].
+    azimuth: degrees, as in cvn.camera.
+    elevation: degrees above the horizon.
+    size: height and width in pixels.
+    background: sRGB, 0 to 255.
+
+  Returns:
+    uint8 [size, size, 3].
+  """
+  occupancy = np.asarray(voxels.occupancy, bool)
+  color = np.asarray(voxels.color, np.float32)
+  n, samples = len(occupancy), size * SUPERSAMPLING
+  view, half_width = _raised_camera(azimuth, elevation, samples)
+  eye = -view.R.T @ view.T
+
+  # Every camera-facing face between an occupied and an empty voxel becomes a lattice of points, so
+  # dense that each pixel it covers gets one: a square cell is hit for spacings up to 1 / sqrt(2).
+  nearest = camera.DISTANCE - np.sqrt(3) / 2
+  steps = int(np.ceil(np.sqrt(2) * samples / (2 * half_width) / n / nearest))
+  lattice = (np.stack(np.meshgrid(*[np.arange(steps)] * 2), -1).reshape(-1, 2) + 0.5) / steps
+  light = np.array(LIGHT) / np.linalg.norm(LIGHT) @ (view.R * [[1], [-1], [-1]])
+
+  points, colors = [], []
+  for axis in range(3):
+    for sign in (-1, 1):
+      index = np.argwhere(exposed(occupancy, axis, sign))
+      center = grid.index_to_world(index, size=n)
+      plane = center[:, axis] + sign * 0.5 / n
+      index = index[sign * (eye[axis] - plane) > 0]
+      offset = np.insert(lattice, axis, (sign + 1) / 2, axis=1)  # within the voxel, in [0, 1]
+      corner = (index[:, None, :] + offset) / n - 0.5
+      brightness = AMBIENT + (1 - AMBIENT) * max(0.0, sign * light[axis])
+      points.append(corner.reshape(-1, 3))
+      colors.append(np.repeat(brightness * color[tuple(index.T)], len(lattice), axis=0))
+  pixel, depth = camera.project(np.concatenate(points), view)
+
+  # Painter's order on points: of those that fall on one pixel, the last one written is the nearest.
+  order = np.argsort(-depth)
+  column, row = np.floor(pixel[order]).astype(int).T
+  inside = (column >= 0) & (column < samples) & (row >= 0) & (row < samples)
+  image = np.empty((samples, samples, 3), np.float32)
+  image[:] = np.asarray(background, np.float32) / 255
+  image[row[inside], column[inside]] = np.concatenate(colors)[order][inside]
+  image = image.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean((1, 3))
+  return to_uint8(image)
+
+
+def exposed(occupancy: np.ndarray, axis: int, sign: int) -> np.ndarray:
+  """The occupied voxels [X, Y, Z] whose neighbour along `axis`, in direction `sign`, is empty."""
+  padded = np.pad(occupancy, 1)
+  neighbour = np.roll(padded, -sign, axis)[1:-1, 1:-1, 1:-1]
+  return occupancy & ~neighbour
+
+
+def to_uint8(image) -> np.ndarray:
+  """Colours in [0, 1] -> 0 to 255, rounded."""
+  return np.round(np.clip(np.asarray(image), 0, 1) * 255).astype(np.uint8)
+
+
+def over(image, background: Sequence[int] = WHITE) -> np.ndarray:
+  """A uint8 image [H, W, 3 or 4] on a plain ground: uint8 [H, W, 3]."""
+  image = np.asarray(image)
+  if image.shape[-1] == 3:
+    return image
+  alpha = image[..., 3:] / 255
+  return to_uint8((image[..., :3] * alpha + np.asarray(background) * (1 - alpha)) / 255)
+
+
+def grid_of_images(
+  rows: Sequence[Sequence[np.ndarray | None]],
+  *,
+  column_titles: Sequence[str] = (),
+  row_titles: Sequence[str] = (),
+  gap: int = 4,
+  background: Sequence[int] = WHITE,
+) -> np.ndarray:
+  """Lays images out in rows and columns, with captions.
+
+  Args:
+    rows: uint8 images [H, W, 3 or 4] of any sizes, or None for an empty place; rows may be short.
+    column_titles: text above each column; a line break makes a second line.
+    row_titles: text left of each row.
+    gap: pixels around each image.
+    background: sRGB, 0 to 255; also what transparent pixels show.
+
+  Returns:
+    uint8 [H, W, 3].
+  """
+  count = max([len(row) for row in rows] + [len(column_titles)])
+  cells = [[None if x is None else over(x, background) for x in row] for row in rows]
+  widths = [
+    max([r[c].shape[1] for r in cells if c < len(r) and r[c] is not None] + [1])
+    for c in range(count)
+  ]
+  heights = [max([x.shape[0] for x in row if x is not None] + [1]) for row in cells]
+  font = ImageFont.load_default(size=12)
+  measure = ImageDraw.Draw(Image.new('RGB', (1, 1)))
+
+  def extent(text):
+    left, top, right, bottom = measure.multiline_textbbox((0, 0), text, font=font)
+    return int(np.ceil(right - left)), int(np.ceil(bottom - top)) + 6
+
+  for c, title in enumerate(column_titles):
+    widths[c] = max(widths[c], extent(title)[0])
+  margin_left = max([extent(t)[0] + 2 * gap for t in row_titles], default=0)
+  margin_top = max([extent(t)[1] + gap for t in column_titles], default=0)
+
+  x = margin_left + np.concatenate([[0], np.cumsum(np.array(widths, int) + gap)]) + gap
+  y = margin_top + np.concatenate([[0], np.cumsum(np.array(heights, int) + gap)]) + gap
+  canvas = np.empty((y[-1], x[-1], 3), np.uint8)
+  canvas[:] = background
+  for r, row in enumerate(cells):
+    for c, image in enumerate(row):
+      if image is not None:
+        h, w = image.shape[:2]
+        left = x[c] + (widths[c] - w) // 2
+        canvas[y[r] : y[r] + h, left : left + w] = image
+
+  picture = Image.fromarray(canvas)
+  draw = ImageDraw.Draw(picture)
+  for c, text in enumerate(column_titles):
+    at = (x[c] + widths[c] / 2, margin_top)
+    draw.multiline_text(at, text, _TEXT_COLOR, font, anchor='md', align='center')
+  for r, text in enumerate(row_titles):
+    draw.multiline_text((gap, y[r] + heights[r] / 2), text, _TEXT_COLOR, font, anchor='lm')
+  return np.asarray(picture)
+
+
+def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, size: int = 192):
+  """One picture's way through the networks, in one row (paper, Figure "res_vis").
+
+  Input, flow in the colour code, sampled colour, regressed colour, blend weight (yellow: the
+  sampled colour counts, blue: the regressed), blended colour, and the result from behind. The
+  volumes are shown on the result's occupied voxels.
+
+  Args:
+    view: uint8 [H, W, 3 or 4].
+    reconstruction: a `cvn.reconstruct.Reconstruction` of this one view, numpy.
+    voxels: the result of `cvn.reconstruct.to_voxels`.
+    size: height and width of each image in pixels.
+
+  Returns:
+    uint8 [H, W, 3].
+  """
+  front, back = PANEL_AZIMUTHS
+
+  def on_surface(color):
+    return draw_voxels(voxels._replace(color=color), front, size=size)
+
+  enlarged = Image.fromarray(over(view)).resize((size, size), Image.Resampling.NEAREST)
+  images = {
+    'input': np.asarray(enlarged),
+    'flow': on_surface(flow_color_code(reconstruction.flow)),
+    'sampled': on_surface(reconstruction.sampled),
+    'regressed': on_surface(reconstruction.regressed),
+    'weight\nyellow: sampled, blue: regressed': on_surface(
+      weight_color_code(reconstruction.weight)
+    ),
+    'blended': on_surface(reconstruction.blended),
+    'result, one side': draw_voxels(voxels, front, size=size),
+    'result, other side': draw_voxels(voxels, back, size=size),
+  }
+  return grid_of_images([list(images.values())], column_titles=list(images))
+
+
+def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.Camera, float]:
+  """The camera of cvn.camera raised by `elevation` degrees, and its half angle's tangent."""
+  level = camera.camera_at(azimuth, image_size=size)
+  e = np.deg2rad(elevation)
+  c, s = np.cos(e), np.sin(e)
+  tilt = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+  # The cube's corner that reaches furthest from the axis stands nearest to the viewer, at the
+  # bottom for a camera above: seen from every azimuth alike, so that the scale is one.
+  across = np.sqrt(0.5)
+  bound = (0.5 * c + across * abs(s)) / (camera.DISTANCE - across * c + 0.5 * abs(s))
+  half_width = max(camera.HALF_WIDTH, bound)
+  K = level.K.copy()
+  K[0, 0] = K[1, 1] = 0.5 * size / half_width
+  return camera.Camera(K, tilt @ level.R, level.T), half_width
