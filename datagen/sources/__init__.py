@@ -1,0 +1,31 @@
+"""Where meshes come from: one module each, all with the same two functions.
+
+`list_models(category, input_dir, limit, seed) -> list[SourceModel]` names the models, quickly and
+in a stable order; `load(model) -> TexturedMesh` makes or reads one of them, not yet normalised.
+Both raise `UserError` for what the user can mend.
+"""
+
+import importlib
+from types import ModuleType
+from typing import NamedTuple
+
+SOURCES = {
+  'meshes': 'datagen.sources.mesh_folder',
+  'procedural': 'datagen.sources.procedural',
+}
+
+
+class SourceModel(NamedTuple):
+  """All that a worker process needs to make one model's mesh; it pickles."""
+
+  id: str  # unique in its data set, stable between runs, fit for a file's name
+  category: str
+  path: str = ''  # the mesh file; '' where there is none
+  seed: int = 0  # what a made-up model is made from
+  licence: str = ''  # as the source states it; '' where it does not
+  creator: str = ''
+
+
+def source(name: str) -> ModuleType:
+  """The module of the source called `name`, a key of `SOURCES`."""
+  return importlib.import_module(SOURCES[name])
