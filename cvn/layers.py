@@ -1,0 +1,81 @@
+"""Layers: a linear map and a bias, then batch normalisation, then an activation.
+
+Every layer of the authors' program has this form, the last ones included (epsilon 1e-3, biased
+batch variance). In training the collection `batch_stats` that `apply` returns holds the statistics
+of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
+"""
+
+from collections.abc import Callable
+
+import jax
+from flax import linen as nn
+from jax import lax
+
+from cvn import deconv
+
+EPSILON = 1e-3
+_glorot = nn.initializers.glorot_uniform()
+
+
+def identity(x: jax.Array) -> jax.Array:
+  """No activation."""
+  return x
+
+
+def _finish(module: nn.Module, x, activation, train):
+  """Bias, batch normalisation over all axes but the last, activation, in `module`'s scope."""
+  bias = module.param('bias', nn.initializers.zeros, (x.shape[-1],))
+  norm = nn.BatchNorm(use_running_average=not train, momentum=0.0, epsilon=EPSILON, name='norm')
+  return activation(norm(x + bias.reshape((1,) * (x.ndim - 1) + (-1,))))
+
+
+class Dense(nn.Module):
+  """[B, in] -> [B, features]."""
+
+  features: int
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    kernel = self.param('kernel', _glorot, (x.shape[-1], self.features))
+    return _finish(self, x @ kernel, nn.elu, train)
+
+
+class Conv2D(nn.Module):
+  """[B, H, W, in] -> [B, H / stride, W / stride, features]."""
+
+  features: int
+  size: int
+  stride: int = 1
+  padding: str = 'SAME'
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    kernel = self.param('kernel', _glorot, (self.size, self.size, x.shape[-1], self.features))
+    x = lax.conv_general_dilated(
+      x, kernel, (self.stride,) * 2, self.padding, dimension_numbers=('NHWC', 'HWIO', 'NHWC')
+    )
+    return _finish(self, x, nn.elu, train)
+
+
+class Deconv3D(nn.Module):
+  """[B, X, Y, Z, in] -> twice the size, in phase layout [B, X, Y, Z, 2, 2, 2, features]."""
+
+  features: int
+  activation: Callable[[jax.Array], jax.Array] = nn.elu
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
+    return _finish(self, deconv.deconv(x, kernel), self.activation, train)
+
+
+class Conv3D(nn.Module):
+  """3x3x3 convolution in phase layout: [B, X, Y, Z, 2, 2, 2, in] -> [..., features]."""
+
+  features: int
+  activation: Callable[[jax.Array], jax.Array] = identity
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
+    return _finish(self, deconv.conv(x, kernel), self.activation, train)

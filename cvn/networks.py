@@ -1,0 +1,150 @@
+"""The networks: one encoder and decoder trunk, and the heads that make volumes of it (section 3.4).
+
+Images are [B, H, W, 3] in [0, 1]; volumes [B, X, Y, Z, C]. `apply(variables, image, train=...)`
+uses batch statistics when `train`, else the running ones in `variables['batch_stats']`.
+"""
+
+from typing import NamedTuple
+
+import jax
+from flax import linen as nn
+
+from cvn.camera import IMAGE_SIZE
+from cvn.deconv import interleave
+from cvn.grid import GRID_SIZE
+from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, identity
+
+ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
+DECODER = (64, 32, 32)  # channels of the deconvolutions before the heads
+
+
+class ColorVolumes(NamedTuple):
+  """What the colour network says of every voxel; all in [0, 1]."""
+
+  regressed: jax.Array  # [B, X, Y, Z, 3] sRGB
+  flow: jax.Array  # [B, X, Y, Z, 2] (u, v)
+  weight: jax.Array  # [B, X, Y, Z, 1] the paper's w: confidence of the sampled colour
+
+
+class Encoder(nn.Module):
+  """[B, H, W, 3] -> latent features [B, features], through a code of 512 numbers."""
+
+  features: int
+
+  @nn.compact
+  def __call__(self, image: jax.Array, train: bool) -> jax.Array:
+    x = image
+    for i, (size, channels) in enumerate(ENCODER):
+      x = Conv2D(channels, size, stride=2, name=f'conv{i}')(x, train)
+    x = Conv2D(512, x.shape[1], padding='VALID', name=f'conv{len(ENCODER)}')(x, train)
+    x = x.reshape(x.shape[0], -1)
+    x = Dense(512, name='latent0')(x, train)
+    return Dense(self.features, name='latent1')(x, train)
+
+
+class Decoder(nn.Module):
+  """[B, s, s, s, 128] -> [B, 8 s, 8 s, 8 s, 32]."""
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    for i, channels in enumerate(DECODER):
+      x = interleave(Deconv3D(channels, name=f'deconv{i}')(x, train))
+    return x
+
+
+class Trunk(nn.Module):
+  """An image's feature volume at half the grid's size: [B, X/2, Y/2, Z/2, 32]."""
+
+  image_size: int
+  grid_size: int
+
+  @nn.compact
+  def __call__(self, image: jax.Array, train: bool) -> jax.Array:
+    if image.ndim != 4 or image.shape[1:] != (self.image_size, self.image_size, 3):
+      raise ValueError(
+        f'images must be [B, {self.image_size}, {self.image_size}, 3]: {image.shape}'
+      )
+    s = self.grid_size // 2 ** (len(DECODER) + 1)
+    x = Encoder(s**3 * 128, name='encoder')(image, train)
+    return Decoder(name='decoder')(x.reshape(-1, s, s, s, 128), train)
+
+
+class Head(nn.Module):
+  """A volume at the grid's full size: deconvolution, then a 3x3x3 convolution to its channels."""
+
+  hidden: int
+  features: int
+  activation: object = identity
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    x = Deconv3D(self.hidden, name='deconv')(x, train)
+    return interleave(Conv3D(self.features, self.activation, name='conv')(x, train))
+
+
+class FlowHead(nn.Module):
+  """The flow volume comes from one deconvolution, as in the authors' program."""
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    return interleave(Deconv3D(2, nn.sigmoid, name='deconv')(x, train))
+
+
+def _color_heads(x: jax.Array, train: bool) -> ColorVolumes:
+  # The authors' network says how sure it is of the regressed colour: 1 - w.
+  return ColorVolumes(
+    Head(16, 3, nn.sigmoid, name='regressed')(x, train),
+    FlowHead(name='flow')(x, train),
+    1 - Head(16, 1, nn.sigmoid, name='weight')(x, train),
+  )
+
+
+class ShapeNetwork(nn.Module):
+  """Image -> occupancy logits [B, X, Y, Z, 1]."""
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
+    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
+    return Head(24, 1, name='head')(x, train)
+
+
+class ColorNetwork(nn.Module):
+  """Image -> `ColorVolumes`."""
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> ColorVolumes:
+    return _color_heads(Trunk(self.image_size, self.grid_size, name='trunk')(image, train), train)
+
+
+class JointNetwork(nn.Module):
+  """The unified network (section 4.3): one trunk, four volumes. -> (logits, `ColorVolumes`)."""
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> tuple[jax.Array, ColorVolumes]:
+    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
+    return Head(24, 1, name='head')(x, train), _color_heads(x, train)
+
+
+class AdaptedR2N2(nn.Module):
+  """The baseline: one volume [B, X, Y, Z, 3] of shape and colour jointly; empty is -0.5.
+
+  3D-R2N2 without recurrence and with one more upsampling layer (section 4, competing methods), on
+  this framework's own trunk: 'all other training settings are kept constant'.
+  """
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
+    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
+    return Head(24, 3, name='head')(x, train)
