@@ -234,12 +234,12 @@ def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.
   level = camera.camera_at(azimuth, image_size=size)
   e = np.deg2rad(elevation)
   c, s = np.cos(e), np.sin(e)
-  tilt = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-  # The cube's corner that reaches furthest from the axis stands nearest to the viewer, at the
-  # bottom for a camera above: seen from every azimuth alike, so that the scale is one.
-  across = np.sqrt(0.5)
-  bound = (0.5 * c + across * abs(s)) / (camera.DISTANCE - across * c + 0.5 * abs(s))
-  half_width = max(camera.HALF_WIDTH, bound)
+  tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+  # The cube turned through all azimuths sweeps a cylinder: one scale then fits every azimuth.
+  angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 72), [-0.5, 0.5])
+  rim = np.stack([np.sqrt(0.5) * np.cos(angle), height, np.sqrt(0.5) * np.sin(angle)], -1)
+  x, y, z = np.moveaxis(rim @ tilt.T + level.T, -1, 0)
+  half_width = max(camera.HALF_WIDTH, np.abs(y / z).max(), np.abs(x / z).max())
   K = level.K.copy()
   K[0, 0] = K[1, 1] = 0.5 * size / half_width
   return camera.Camera(K, tilt @ level.R, level.T), half_width
