@@ -25,6 +25,7 @@ FLOW_CORNERS = np.array([[0.10, 0.30, 1.00], [1.00, 0.15, 0.45], [0.00, 0.75, 0.
 # sampled one.
 WEIGHT_COLORS = np.array([[0.10, 0.25, 0.85], [1.00, 0.87, 0.10]])
 
+MARGIN = 1.03  # of a raised camera's frame around the cube; the level camera's is the same
 PANEL_AZIMUTHS = (30, 210)  # degrees: the object's front and back, each from its side
 _TEXT_COLOR = (40, 40, 40)
 
@@ -239,7 +240,8 @@ def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.
   angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 72), [-0.5, 0.5])
   rim = np.stack([np.sqrt(0.5) * np.cos(angle), height, np.sqrt(0.5) * np.sin(angle)], -1)
   x, y, z = np.moveaxis(rim @ tilt.T + level.T, -1, 0)
-  half_width = max(camera.HALF_WIDTH, np.abs(y / z).max(), np.abs(x / z).max())
+  bound = max(np.abs(x / z).max(), np.abs(y / z).max())
+  half_width = max(camera.HALF_WIDTH, MARGIN * bound)
   K = level.K.copy()
   K[0, 0] = K[1, 1] = 0.5 * size / half_width
   return camera.Camera(K, tilt @ level.R, level.T), half_width

@@ -1,0 +1,153 @@
+"""Drawing: where things land, which colour they get, how pictures are laid out."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from cvn import camera, figures, grid
+
+SIZE = 16  # voxels
+
+
+def _one_voxel(index, color=(1.0, 0.0, 0.0), size=SIZE):
+  occupancy = np.zeros((size,) * 3, bool)
+  occupancy[index] = True
+  return grid.ColoredVoxels(occupancy, np.broadcast_to(color, (size,) * 3 + (3,)))
+
+
+def _is_red(image):
+  return (image[..., 0].astype(int) - image[..., 1]) > 100
+
+
+def test_flow_code_has_its_corners_and_centre():
+  flow = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5]])
+  expected = np.concatenate([figures.FLOW_CORNERS, figures.FLOW_CORNERS.mean(0, keepdims=True)])
+  np.testing.assert_allclose(figures.flow_color_code(flow), expected)
+
+
+def test_flow_code_gives_every_flow_its_own_colour():
+  ticks = np.linspace(0, 1, 17)
+  code = figures.flow_color_code(np.stack(np.meshgrid(ticks, ticks), -1)).reshape(-1, 3)
+  distance = np.linalg.norm(code[:, None] - code[None], axis=-1)
+  distance[np.diag_indices(len(code))] = np.inf
+  assert distance.min() > 0.01
+  assert code.min() >= 0 and code.max() <= 1
+
+
+def test_weight_code_is_yellow_for_sampled_and_blue_for_regressed():
+  regressed, sampled = figures.weight_color_code(np.array([0.0, 1.0]))
+  assert regressed.argmax() == 2
+  assert sampled.argmin() == 2 and sampled[:2].min() > 0.8
+
+
+@pytest.mark.parametrize('azimuth', [0, 30, 90, 210])
+@pytest.mark.parametrize('index', [(2, 13, 8), (12, 3, 5), (8, 8, 1)])
+def test_level_drawing_agrees_with_the_camera(azimuth, index):
+  image = figures.draw_voxels(_one_voxel(index), azimuth, elevation=0, size=128)
+  row, column = np.argwhere(_is_red(image)).mean(0) + 0.5
+  center = grid.index_to_world(np.array(index), size=SIZE)
+  pixel, depth = camera.project(center, camera.camera_at(azimuth))
+  np.testing.assert_allclose([column, row], pixel, atol=1.6)
+  # A cube's picture covers between one face and its whole diagonal section.
+  face = (160 / depth / SIZE) ** 2
+  assert 0.9 * face < _is_red(image).sum() < 2.2 * face
+
+
+def test_raised_camera_sees_the_top_and_no_side_is_mirrored():
+  occupancy = np.ones((SIZE,) * 3, bool)
+  color = np.zeros((SIZE,) * 3 + (3,))
+  color[-1, :, :, 0] = 1  # red towards +x
+  color[:, -1, :, 1] = 1  # green on top
+  image = figures.draw_voxels(grid.ColoredVoxels(occupancy, color), 30, elevation=20, size=64)
+  assert (image[..., 1] > 150).any()
+  red = np.argwhere(_is_red(image))
+  assert red[:, 1].mean() > 32  # at azimuth 30, +x is to the right
+  below = figures.draw_voxels(grid.ColoredVoxels(occupancy, color), 30, elevation=-20, size=64)
+  top_pixels = lambda x: ((x[..., 1] > 100) & (x.min(-1) < 100)).sum()  # noqa: E731
+  assert top_pixels(below) < 0.3 * top_pixels(image)
+
+
+def test_nearer_voxels_hide_those_behind():
+  occupancy = np.zeros((SIZE,) * 3, bool)
+  occupancy[:, :, 12] = occupancy[:, :, 3] = True
+  color = np.zeros((SIZE,) * 3 + (3,))
+  color[:, :, 12, 0] = 1
+  color[:, :, 3, 2] = 1
+  voxels = grid.ColoredVoxels(occupancy, color)
+  front = figures.draw_voxels(voxels, 0, elevation=0, size=64)
+  back = figures.draw_voxels(voxels, 180, elevation=0, size=64)
+  assert not ((front[..., 2] > 100) & (front[..., 0] < 100)).any()
+  assert not ((back[..., 0] > 100) & (back[..., 2] < 100)).any()
+
+
+@pytest.mark.parametrize('azimuth', [0, 45, 75])
+@pytest.mark.parametrize('elevation', [-60, 0, 20, 90])
+def test_whole_cube_is_in_the_frame_without_holes(azimuth, elevation):
+  full = grid.ColoredVoxels(np.ones((SIZE,) * 3, bool), np.zeros((SIZE,) * 3 + (3,)))
+  image = figures.draw_voxels(full, azimuth, elevation=elevation, size=96)
+  ink = image.max(-1) < 128
+  assert not (ink[0].any() or ink[-1].any() or ink[:, 0].any() or ink[:, -1].any())
+  for line in (*ink, *ink.T):  # convex, so every row and column is one run
+    assert np.abs(np.diff(line.astype(int))).sum() in (0, 2)
+
+
+def test_nothing_to_draw_is_background():
+  empty = grid.ColoredVoxels(np.zeros((4,) * 3, bool), np.zeros((4, 4, 4, 3)))
+  image = figures.draw_voxels(empty, 0, size=8, background=(1, 2, 3))
+  np.testing.assert_array_equal(image, np.broadcast_to(np.uint8([1, 2, 3]), (8, 8, 3)))
+
+
+def test_exposed_is_the_boundary_in_one_direction():
+  occupancy = np.zeros((3, 3, 3), bool)
+  occupancy[1:, 0, 0] = True
+  np.testing.assert_array_equal(np.argwhere(figures.exposed(occupancy, 0, -1)), [[1, 0, 0]])
+  np.testing.assert_array_equal(np.argwhere(figures.exposed(occupancy, 0, 1)), [[2, 0, 0]])
+  assert figures.exposed(occupancy, 1, -1).sum() == 2
+
+
+def test_grid_places_images_and_skips_empty_places():
+  red, green = (np.full((4, 6, 3), c, np.uint8) for c in ([255, 0, 0], [0, 255, 0]))
+  image = figures.grid_of_images([[red, None], [green, red]], gap=2, background=(9, 9, 9))
+  assert image.shape == (2 + 4 + 2 + 4 + 2, 2 + 6 + 2 + 6 + 2, 3)
+  np.testing.assert_array_equal(image[2:6, 2:8], red)
+  np.testing.assert_array_equal(image[8:12, 2:8], green)
+  np.testing.assert_array_equal(image[8:12, 10:16], red)
+  assert (image[2:6, 10:16] == 9).all()
+
+
+def test_grid_makes_room_for_titles():
+  tile = np.full((10, 10, 3), 255, np.uint8)
+  plain = figures.grid_of_images([[tile]])
+  titled = figures.grid_of_images([[tile]], column_titles=['a wide\ntitle'], row_titles=['row'])
+  assert titled.shape[0] > plain.shape[0] + 20 and titled.shape[1] > plain.shape[1] + 20
+  assert titled.min() < 100
+
+
+def test_transparent_pixels_show_the_background():
+  rgba = np.zeros((1, 3, 4), np.uint8)
+  rgba[0, 1:, 0] = 255
+  rgba[0, :, 3] = 0, 255, 51
+  expected = [[[100, 100, 100], [255, 0, 0], [131, 80, 80]]]
+  np.testing.assert_array_equal(figures.over(rgba, (100, 100, 100)), expected)
+
+
+class _Volumes(NamedTuple):
+  flow: np.ndarray
+  sampled: np.ndarray
+  regressed: np.ndarray
+  weight: np.ndarray
+  blended: np.ndarray
+
+
+def test_panel_shows_each_volume_on_the_voxels():
+  n = 8
+  flat = lambda *c: np.broadcast_to(np.float32(c), (n, n, n, len(c)))  # noqa: E731
+  volumes = _Volumes(flat(0, 0), flat(0, 1, 0), flat(1, 0, 0), flat(1.0)[..., 0], flat(1, 1, 0))
+  voxels = grid.ColoredVoxels(np.ones((n,) * 3, bool), volumes.blended)
+  view = np.full((16, 16, 4), 255, np.uint8)
+  size = 32
+  panel = figures.reconstruction_panel(view, volumes, voxels, size=size)
+  middle = panel[-size // 2 - 4]  # a row through the middle of all images
+  seen = {tuple(np.uint8(c > 100)) for c in middle}
+  assert {(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 0)} <= seen  # flow, sampled, regressed, rest
