@@ -13,7 +13,6 @@ side of a normalised object at the distance of the world's origin, 77.5 of 128 p
 where the longest side is seen in full; how much shorter it looks from elsewhere is not known here.
 """
 
-import struct
 import warnings
 
 import numpy as np
@@ -24,13 +23,14 @@ from scipy import ndimage
 from cvn import camera, grid
 from cvn.errors import UserError
 
-FORMATS = ('PNG', 'JPEG', 'MPO', 'WEBP', 'GIF', 'BMP', 'TIFF', 'PPM', 'TGA')
+FORMATS = ('PNG', 'JPEG', 'WEBP', 'GIF', 'BMP', 'TIFF', 'PPM', 'TGA')
 MAX_PIXELS = 100_000_000  # a decompression bomb otherwise
 
 # Chosen by us; the paper has no photos.
 _OPAQUE = 250  # alpha from here on counts as opaque
 _SOLID = 128  # and from here on as foreground
 _TOLERANCE = 16  # largest difference of a channel to the border's colour, of 255
+_EXACT_TOLERANCE = 2  # the same in a picture already framed: its ground is drawn, not taken
 _PLAIN_BORDER = 0.7  # part of the border that must have its colour: the object may touch the rest
 _SPECK = 0.01  # parts smaller than this fraction of the largest one are noise
 _WORKING_SIZE = 1024  # larger pictures are shrunk first
@@ -53,7 +53,7 @@ def load_view(path: str, image_size: int = camera.IMAGE_SIZE) -> np.ndarray:
   """
   rgba = _read(path)
   framed = rgba.shape[:2] == (image_size, image_size)
-  foreground = _foreground(rgba, path)
+  foreground = _foreground(rgba, _EXACT_TOLERANCE if framed else _TOLERANCE, path)
   if not (rgba[..., 3] < _OPAQUE).any():
     rgba = np.dstack([rgba[..., :3], np.uint8(255) * foreground])
   return rgba if framed else _reframe(rgba, foreground, image_size)
@@ -79,14 +79,14 @@ def _read(path: str) -> np.ndarray:
     raise UserError(f'{path} has more than {MAX_PIXELS} pixels: shrink it first') from e
   except Image.UnidentifiedImageError as e:
     raise UserError(f'{path} is no picture that can be read ({", ".join(FORMATS)})') from e
-  except (OSError, SyntaxError, ValueError, EOFError, struct.error) as e:
+  except Exception as e:  # damaged bytes make Pillow's parsers fail in every way there is
     reason = getattr(e, 'strerror', None) or str(e).split('\n', 1)[0]
     raise UserError(f'{path} cannot be read: {reason}') from e
   rgba.thumbnail((_WORKING_SIZE,) * 2, Image.Resampling.BOX)
   return np.asarray(rgba)
 
 
-def _foreground(rgba: np.ndarray, path: str) -> np.ndarray:
+def _foreground(rgba: np.ndarray, tolerance: int, path: str) -> np.ndarray:
   """[H, W] bool: where the object is, without specks."""
   alpha = rgba[..., 3]
   if (alpha < _OPAQUE).any():
@@ -94,7 +94,7 @@ def _foreground(rgba: np.ndarray, path: str) -> np.ndarray:
     if not mask.any():
       raise UserError(f'{path} is transparent everywhere: there is nothing to reconstruct')
   else:
-    mask = _without_plain_border(rgba[..., :3].astype(int))
+    mask = _without_plain_border(rgba[..., :3].astype(int), tolerance)
     if mask is None:
       logging.warning(
         '%s has neither transparency nor a plain background: all of it is taken as the object; '
@@ -109,13 +109,13 @@ def _foreground(rgba: np.ndarray, path: str) -> np.ndarray:
   return (area >= _SPECK * area.max())[label] & mask
 
 
-def _without_plain_border(rgb: np.ndarray) -> np.ndarray | None:
+def _without_plain_border(rgb: np.ndarray, tolerance: int) -> np.ndarray | None:
   """[H, W] bool: all but what is connected to the border in its colour; None for a busy border."""
   border = np.concatenate([rgb[0], rgb[-1], rgb[:, 0], rgb[:, -1]])
-  near = np.abs(rgb - np.median(border, axis=0)).max(-1) <= _TOLERANCE
-  edge = np.concatenate([near[0], near[-1], near[:, 0], near[:, -1]])
-  if edge.mean() < _PLAIN_BORDER:
+  plain = np.median(border, axis=0)
+  if (np.abs(border - plain).max(-1) <= tolerance).mean() < _PLAIN_BORDER:
     return None
+  near = np.abs(rgb - plain).max(-1) <= tolerance
   label, _ = ndimage.label(near)
   touching = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
   return ~(np.isin(label, touching) & near)
