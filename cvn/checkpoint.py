@@ -1,0 +1,189 @@
+"""A training run's folder: what the network is, and where its training stands.
+
+  WORKDIR/config.json         the network's kind, the recipe and all that a resumed run must share
+  WORKDIR/checkpoints/<step>  Orbax checkpoints, the latest KEEP of them:
+      variables               {'params', 'batch_stats'}: all that inference needs
+      optimizer               {'opt_state', 'step'}
+      _CHECKPOINT_METADATA    among other things `progress`, the JSON of the run's own bookkeeping
+
+A checkpoint appears under its number once it is whole; what an interrupted save leaves behind has
+another name, is never read, and goes with the next save. Saving is synchronous: the state is 80 MB,
+and the step that follows donates the buffers it would be read from.
+"""
+
+import json
+import os
+from typing import Any
+
+import jax
+import numpy as np
+from orbax.checkpoint import v1 as ocp
+
+from cvn import files
+from cvn.errors import UserError
+
+FORMAT = 1
+KEEP = 2
+
+
+def start(workdir: str, config: dict[str, Any]) -> None:
+  """Begins a run, or checks that the run begun there is this one.
+
+  Args:
+    workdir: the folder; made where it is missing.
+    config: 'network' ('shape' or 'color') and every setting that must not change; JSON values.
+
+  Raises:
+    UserError: the folder holds another run, or cannot be written.
+  """
+  config = json.loads(json.dumps({'format': FORMAT, **config}))
+  path = os.path.join(workdir, 'config.json')
+  if not os.path.lexists(path):
+    with files.atomic_write(path) as temporary, open(temporary, 'w') as f:
+      f.write(json.dumps(config, indent=1) + '\n')
+    return
+  old = read_config(workdir)
+  for name in config | old:
+    if old.get(name) != config.get(name):
+      raise UserError(
+        f'{workdir} was begun with {name}={old.get(name)}, not {config.get(name)}:'
+        f' keep {name} as it was, or take another workdir'
+      )
+
+
+def read_config(workdir: str) -> dict[str, Any]:
+  """The settings a run was begun with.
+
+  Raises:
+    UserError: the folder holds no run, or one of another version.
+  """
+  path = os.path.join(workdir, 'config.json')
+  try:
+    with open(path) as f:
+      config = json.load(f)
+  except (FileNotFoundError, NotADirectoryError) as e:
+    raise UserError(
+      f'{workdir} is no training folder: it has no config.json (experiments.train makes one)'
+    ) from e
+  except OSError as e:
+    raise UserError(f'cannot read {path}: {e.strerror}') from e
+  except ValueError as e:
+    raise UserError(f'{path} is damaged: it is not JSON') from e
+  if not isinstance(config, dict) or config.get('format') != FORMAT:
+    raise UserError(f'{path} is not of format {FORMAT}: train again with this version')
+  return config
+
+
+def latest_step(workdir: str) -> int | None:
+  """The step of the newest checkpoint, None where there is none yet."""
+  try:
+    names = os.listdir(os.path.join(workdir, 'checkpoints'))
+  except OSError:
+    return None
+  return max((int(n) for n in names if n.isdecimal()), default=None)
+
+
+def save(workdir: str, state, progress: dict[str, Any]) -> None:
+  """Writes a checkpoint under the state's step, and removes all but the latest.
+
+  Args:
+    workdir: the run's folder.
+    state: cvn.train.TrainState.
+    progress: JSON values the run keeps beside the state, such as the data iterator's state.
+
+  Raises:
+    UserError: the checkpoint cannot be written.
+  """
+  checkpoints = os.path.join(os.path.abspath(workdir), 'checkpoints')
+  try:
+    with ocp.training.Checkpointer(
+      checkpoints,
+      preservation_policy=ocp.training.preservation_policies.LatestN(KEEP),
+      cleanup_tmp_directories=True,
+    ) as checkpointer:
+      checkpointer.save_checkpointables(
+        int(state.step), _to_checkpointables(state), force=True, custom_metadata=progress
+      )
+  except Exception as e:  # whatever the storage raised: Orbax has no exception of its own for it
+    raise UserError(f'cannot write a checkpoint to {checkpoints}: {_reason(e)}') from e
+
+
+def restore(workdir: str, template) -> tuple[Any, dict[str, Any]] | None:
+  """The state and the progress of the newest checkpoint; None where there is none yet.
+
+  Args:
+    workdir: the run's folder.
+    template: a TrainState of the same structure, shapes and shardings as the result's.
+
+  Raises:
+    UserError: the checkpoint is damaged.
+  """
+  step = latest_step(workdir)
+  if step is None:
+    return None
+
+  def as_abstract(x):
+    return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding)
+
+  def load(path):
+    progress = ocp.checkpointables_metadata(path).custom_metadata
+    loaded = {}
+    for name, x in _to_checkpointables(template).items():
+      # One by one: when one of several fails, Orbax drops the others with a warning.
+      loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
+    return template._replace(**loaded), progress
+
+  return _load(workdir, step, load)
+
+
+def load_network(workdir: str, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+  """A trained network, for inference.
+
+  Args:
+    workdir: the run's folder.
+    kind: 'shape' or 'color', the network that is needed.
+
+  Returns:
+    (config, variables): the run's settings, and {'params', 'batch_stats'} of its newest
+    checkpoint as numpy arrays, on whatever devices it was trained.
+
+  Raises:
+    UserError: there is no such network in the folder, no checkpoint yet, or a damaged one.
+  """
+  config = read_config(workdir)
+  if config.get('network') != kind:
+    raise UserError(f'{workdir} holds a {config.get("network")} network, a {kind} one is needed')
+  step = latest_step(workdir)
+  if step is None:
+    raise UserError(f'{workdir} has no checkpoint yet: train it first (experiments.train)')
+
+  def load(path):
+    saved = ocp.checkpointables_metadata(path).metadata['variables']
+    abstract = jax.tree.map(lambda x: np.empty(x.shape, x.dtype), saved)
+    return ocp.load_checkpointables(path, {'variables': abstract})['variables']
+
+  return config, _load(workdir, step, load)
+
+
+def _to_checkpointables(state):
+  return {
+    'variables': {'params': state.params, 'batch_stats': state.batch_stats},
+    'optimizer': {'opt_state': state.opt_state, 'step': state.step},
+  }
+
+
+def _load(workdir, step, load):
+  path = os.path.join(os.path.abspath(workdir), 'checkpoints', str(step))
+  try:
+    return load(path)
+  except Exception as e:  # damage shows in as many ways as there are files
+    raise UserError(
+      f'the checkpoint {path} is damaged ({_reason(e)}): remove it to go back to the one before'
+    ) from e
+
+
+def _reason(e: BaseException) -> str:
+  """The first line of the error that started it all."""
+  while e.__cause__ is not None:
+    e = e.__cause__
+  return (str(e).strip() or type(e).__name__).split('\n', 1)[0][:200]

@@ -1,0 +1,222 @@
+"""From the data set on disk to batches: a Grain pipeline with sparse targets.
+
+An element is one view of one model. Images are [H, W, 3] float32 sRGB in [0, 1], composited on a
+plain background. Surfaces are lists of S voxels, where S is one number for the whole data set
+(`surface_slots`), so that a compiled step meets one shape: index [S, 3] int32, PADDING_INDEX in all
+three places past the model's own voxels; color [S, 3] float32 sRGB in [0, 1]; flow [S, 2] float32
+(u, v) in [0, 1]. Batching adds an axis in front. Reading an element touches one view's chunks, not
+the twelve.
+
+Randomness is a function of (seed, epoch, element) alone: which view an element shows, and where in
+the epoch's order it stands. So the state of an iterator is one number, the index of the next batch,
+whatever the threads that read ahead have done.
+"""
+
+import functools
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import grain
+import numpy as np
+
+from cvn import dataset as dataset_lib
+from cvn.dataset import Dataset
+from cvn.errors import UserError
+
+GREY = 245 / 255  # the background of the authors' data
+SLOT_MULTIPLE = 256  # S is a multiple of it: data sets of about one size share compiled programs
+
+
+class Batch(NamedTuple):
+  """What the colour network is trained on."""
+
+  image: Any  # [B, H, W, 3] float32
+  index: Any  # [B, S, 3] int32
+  color: Any  # [B, S, 3] float32, 0 where padded
+  flow: Any  # [B, S, 2] float32, 0 where padded
+
+
+class ShapeBatch(NamedTuple):
+  """What the shape network is trained on: colours and flows are not even read."""
+
+  image: Any  # [B, H, W, 3] float32
+  index: Any  # [B, S, 3] int32
+
+
+def select_rows(dataset: Dataset, split: str, categories: Sequence[str] = ()) -> np.ndarray:
+  """Rows [N] of the finished models of a split; of the categories named, or of all.
+
+  The result may be empty where the split holds no finished model.
+
+  Raises:
+    UserError: the data set has no such split or category.
+  """
+  models = dataset.manifest.models
+  if split not in dataset_lib.SPLITS:
+    raise UserError(f'{split!r} is no split; there are {", ".join(dataset_lib.SPLITS)}')
+  known = sorted({m.category for m in models})
+  for c in categories:
+    if c not in known:
+      raise UserError(f'{dataset.root} has no category {c!r}; it has {", ".join(known)}')
+  counts = dataset_lib.surface_counts(dataset)
+  chosen = [
+    row
+    for row, m in enumerate(models)
+    if m.split == split and counts[row] > 0 and (not categories or m.category in categories)
+  ]
+  return np.array(chosen, np.int64)
+
+
+def surface_slots(dataset: Dataset) -> int:
+  """S: the most voxels a finished model of the data set has, up to the next SLOT_MULTIPLE.
+
+  Raises:
+    UserError: no model is finished.
+  """
+  most = int(dataset_lib.surface_counts(dataset).max(initial=0))
+  if most == 0:
+    raise UserError(f'{dataset.root} holds no finished model (make them: datagen.generate)')
+  return min(-(-most // SLOT_MULTIPLE) * SLOT_MULTIPLE, dataset.manifest.capacity)
+
+
+def composite(rgba: np.ndarray, background: float = GREY) -> np.ndarray:
+  """[..., 4] u8 sRGB and straight alpha over grey -> [..., 3] float32 in [0, 1]."""
+  rgba = rgba.astype(np.float32) / 255
+  alpha = rgba[..., 3:]
+  return rgba[..., :3] * alpha + np.float32(background) * (1 - alpha)
+
+
+def read_shape(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
+  """One element of a `ShapeBatch`: its arrays without the batch axis.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  a = dataset.arrays
+  rgba, index = _read(dataset, row, a['views'][row, view], a['surface_index'][row, :slots])
+  return ShapeBatch(composite(rgba, background), index.astype(np.int32))
+
+
+def read_color(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
+  """One element of a `Batch`: its arrays without the batch axis.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  a = dataset.arrays
+  rgba, index, color, flow = _read(
+    dataset,
+    row,
+    a['views'][row, view],
+    a['surface_index'][row, :slots],
+    a['surface_color'][row, :slots],
+    a['flow'][row, view, :slots],
+  )
+  return Batch(
+    composite(rgba, background),
+    index.astype(np.int32),
+    color.astype(np.float32) / 255,
+    dataset_lib.decode_flow(flow),
+  )
+
+
+def training_batches(
+  read: Callable,
+  dataset: Dataset,
+  rows: Sequence[int],
+  *,
+  batch_size: int,
+  seed: int,
+  background: float = GREY,
+  shard: tuple[int, int] = (0, 1),
+) -> grain.MapDataset:
+  """The batches of an epoch; indices past the end go on with the next epochs.
+
+  Each epoch shows every model once, in its own order, from its own random view. Models that do not
+  fill a last batch are left out of that epoch.
+
+  Args:
+    read: `read_shape` or `read_color`.
+    dataset: the open data set.
+    rows: [N] models to train on.
+    batch_size: elements of a batch of this process.
+    seed: of order and views, 0 to 2^32 - 1.
+    background: grey level in [0, 1] behind the object.
+    shard: (process, processes): each process sees its own part of every epoch.
+
+  Raises:
+    UserError: there are fewer models than a batch needs.
+  """
+  process, processes = shard
+  share = len(rows) // processes
+  if share < batch_size:
+    needed = f'{processes} processes of batch size' if processes > 1 else 'a batch of'
+    raise UserError(
+      f'{dataset.root} has {len(rows)} finished training models, too few for {needed} {batch_size}:'
+      f' make more of them, or take a batch size of at most {share}'
+    )
+  views = len(dataset.manifest.azimuths)
+
+  def choose_view(row, rng: np.random.Generator):
+    return row, rng.integers(views)
+
+  return (
+    grain.MapDataset.source([int(r) for r in rows])
+    .seed(seed)
+    .random_map(choose_view)  # before the shuffle: there its index is (epoch, element)
+    .shuffle()
+    .slice(slice(process, share * processes, processes))
+    .map(_reader(read, dataset, background))
+    .batch(batch_size, drop_remainder=True)
+  )
+
+
+def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:
+  """[P, 2] pairs (row, view): all of them by row, or `limit` spread evenly over the rows' views."""
+  pairs = np.stack(np.meshgrid(rows, np.arange(views), indexing='ij'), -1).reshape(-1, 2)
+  if limit is not None and limit < len(pairs):
+    pairs = pairs[np.linspace(0, len(pairs) - 1, limit).round().astype(int)]
+  return pairs.astype(np.int64)
+
+
+def evaluation_batches(
+  read: Callable,
+  dataset: Dataset,
+  pairs: np.ndarray,
+  *,
+  batch_size: int,
+  background: float = GREY,
+) -> grain.MapDataset:
+  """Batches of the pairs [P, 2] in their order; the last one holds what is left over."""
+  return (
+    grain.MapDataset.source([(int(row), int(view)) for row, view in pairs])
+    .map(_reader(read, dataset, background))
+    .batch(batch_size)
+  )
+
+
+def iterate(batches: grain.MapDataset, num_epochs: int | None = None) -> grain.DatasetIterator:
+  """Iterates over epochs of batches, without end where `num_epochs` is None; threads read ahead.
+
+  `get_state()` of the result is JSON, and `set_state` continues there.
+  """
+  threads = min(os.cpu_count() or 1, 8)
+  options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=threads)
+  return iter(batches.repeat(num_epochs).to_iter_dataset(options))
+
+
+def _reader(read, dataset, background):
+  one = functools.partial(read, dataset, slots=surface_slots(dataset), background=background)
+  return lambda pair: one(*pair)
+
+
+def _read(dataset, row, *parts):
+  """Reads slices of the arrays of one model at the same time."""
+  try:
+    return [r.result() for r in [p.read() for p in parts]]
+  except ValueError as e:
+    name, reason = dataset.manifest.models[row].id, str(e).split('\n', 1)[0].split(' [', 1)[0]
+    raise UserError(
+      f'{dataset.root}: the files of model {name} are damaged ({reason}): make the data set again'
+    ) from e

@@ -1,0 +1,259 @@
+"""The pipeline: what an element is, what an epoch is, and that nothing depends on threads."""
+
+import itertools
+import os
+import shutil
+
+import numpy as np
+import pytest
+import synthetic
+
+from cvn import data, dataset, grid
+from cvn.errors import UserError
+
+VIEWS = 3
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+  return synthetic.make_dataset(
+    tmp_path_factory.mktemp('data') / 'set',
+    10,
+    splits=('train', 'train', 'train', 'val', 'train'),
+    categories=('ball', 'egg'),
+    azimuths=(0, 120, 240),
+    image_size=16,
+    grid_size=16,
+    capacity=1024,
+    missing=(4,),
+  )
+
+
+def train_rows(made):
+  return data.select_rows(made, 'train')
+
+
+def batches(made, read=data.read_color, *, batch_size=2, seed=0, **kwargs):
+  return data.training_batches(
+    read, made, train_rows(made), batch_size=batch_size, seed=seed, **kwargs
+  )
+
+
+def images(epoch):
+  """Which (row, view) an image shows is told by the image: here, its bytes."""
+  return [image.tobytes() for batch in epoch for image in batch.image]
+
+
+def known_images(made):
+  """bytes -> (row, view) of all images of the data set."""
+  counts = dataset.surface_counts(made)
+  return {
+    data.composite(dataset.read_record(made, row).views[view]).tobytes(): (row, view)
+    for row in range(len(counts))
+    if counts[row]
+    for view in range(VIEWS)
+  }
+
+
+def test_rows_are_finished_models_of_the_split(made):
+  np.testing.assert_array_equal(data.select_rows(made, 'train'), [0, 1, 2, 5, 6, 7, 9])
+  np.testing.assert_array_equal(data.select_rows(made, 'val'), [3, 8])
+  assert data.select_rows(made, 'test').shape == (0,)
+
+
+def test_rows_of_categories(made):
+  np.testing.assert_array_equal(data.select_rows(made, 'train', ['ball']), [0, 2, 6])
+  np.testing.assert_array_equal(data.select_rows(made, 'val', ['ball', 'egg']), [3, 8])
+
+
+def test_unknown_split_or_category(made):
+  with pytest.raises(UserError, match="'dev' is no split; there are train, val, test"):
+    data.select_rows(made, 'dev')
+  with pytest.raises(UserError, match="no category 'cube'; it has ball, egg"):
+    data.select_rows(made, 'train', ['cube'])
+
+
+def test_slots_are_the_most_voxels_rounded_up(made):
+  most, slots = dataset.surface_counts(made).max(), data.surface_slots(made)
+  assert slots % 256 == 0 and slots - 256 < most <= slots
+
+
+def test_slots_never_exceed_what_is_stored(tmp_path):
+  tiny = synthetic.make_dataset(
+    tmp_path / 'set', 1, azimuths=(0,), image_size=16, grid_size=8, capacity=200
+  )
+  assert data.surface_slots(tiny) == 200
+
+
+def test_no_finished_model(tmp_path):
+  empty = synthetic.make_dataset(tmp_path / 'set', 1, image_size=16, missing=(0,))
+  with pytest.raises(UserError, match='no finished model'):
+    data.surface_slots(empty)
+
+
+def test_composite():
+  rgba = np.array([[255, 0, 51, 255], [9, 9, 9, 0], [255, 0, 0, 51]], np.uint8)
+  got = data.composite(rgba, 0.5)
+  assert got.dtype == np.float32
+  np.testing.assert_allclose(got, [[1, 0, 0.2], [0.5, 0.5, 0.5], [0.6, 0.4, 0.4]], atol=1e-6)
+
+
+def test_default_background_is_the_authors_grey(made):
+  element = data.read_shape(made, 0, 0, slots=data.surface_slots(made))
+  np.testing.assert_allclose(element.image[0, 0] * 255, [245] * 3, rtol=1e-6)
+
+
+def test_element_is_the_record(made):
+  record, slots = dataset.read_record(made, 5), data.surface_slots(made)
+  count = len(record.surface_index)
+  got = data.read_color(made, 5, 2, slots=slots)
+  np.testing.assert_array_equal(got.image, data.composite(record.views[2]))
+  np.testing.assert_array_equal(got.index[:count], record.surface_index)
+  assert (got.index[count:] == grid.PADDING_INDEX).all()
+  np.testing.assert_array_equal(got.color[:count], record.surface_color.astype(np.float32) / 255)
+  np.testing.assert_array_equal(got.flow[:count], record.flow[2])
+  assert not got.color[count:].any() and not got.flow[count:].any()
+
+
+def test_shape_element_is_the_color_element_without_its_colors(made):
+  slots = data.surface_slots(made)
+  shape, color = (f(made, 5, 2, slots=slots) for f in (data.read_shape, data.read_color))
+  np.testing.assert_array_equal(shape.image, color.image)
+  np.testing.assert_array_equal(shape.index, color.index)
+
+
+def test_batch_shapes_and_types(made):
+  s = data.surface_slots(made)
+  batch = batches(made)[0]
+  assert [(x.shape, x.dtype.name) for x in batch] == [
+    ((2, 16, 16, 3), 'float32'),
+    ((2, s, 3), 'int32'),
+    ((2, s, 3), 'float32'),
+    ((2, s, 2), 'float32'),
+  ]
+  assert isinstance(batch, data.Batch)
+  assert isinstance(batches(made, data.read_shape)[0], data.ShapeBatch)
+
+
+def test_reading_touches_one_view_only(tmp_path):
+  """With the other views' chunks gone from the disk, this one still reads; and they do not."""
+  tiny = {'azimuths': (0, 120, 240), 'image_size': 16, 'grid_size': 16, 'capacity': 1024}
+  made = synthetic.make_dataset(tmp_path / 'set', 1, **tiny)
+  slots, expected = data.surface_slots(made), data.read_color(made, 0, 1, slots=1024)
+  for name, view in itertools.product(('views', 'flow', 'visible'), ('0', '2')):
+    chunk = tmp_path / 'set' / name / 'c' / '0' / view
+    shutil.rmtree(chunk)
+    chunk.mkdir()
+    (chunk / '0').mkdir()  # a folder where a file is due: touching it is an error
+  got = data.read_color(made, 0, 1, slots=slots)
+  np.testing.assert_array_equal(got.image, expected.image)
+  np.testing.assert_array_equal(got.flow, expected.flow[:slots])
+
+
+def test_damaged_files_name_the_model(tmp_path):
+  made = synthetic.make_dataset(
+    tmp_path / 'set', 1, azimuths=(0,), image_size=16, grid_size=16, capacity=1024
+  )
+  for folder, _, names in os.walk(tmp_path / 'set' / 'views' / 'c'):
+    for name in names:
+      with open(os.path.join(folder, name), 'wb') as f:
+        f.write(b'not zstd')
+  with pytest.raises(UserError, match='files of model m0 are damaged'):
+    data.read_shape(made, 0, 0, slots=256)
+  with pytest.raises(UserError, match='files of model m0 are damaged'):
+    next(data.iterate(data.training_batches(data.read_shape, made, [0], batch_size=1, seed=0)))
+
+
+def test_an_epoch_shows_every_model_once(made):
+  epochs = batches(made, batch_size=1)
+  known = known_images(made)
+  for epoch in range(3):
+    shown = [known[b] for b in images(epochs[7 * epoch + i] for i in range(7))]
+    assert sorted(row for row, _ in shown) == train_rows(made).tolist()
+
+
+def test_views_and_order_are_drawn_anew_each_epoch(made):
+  known = known_images(made)
+  epochs = batches(made, batch_size=1)
+  shown = [
+    [known[b] for b in images(epochs[7 * epoch + i] for i in range(7))] for epoch in range(40)
+  ]
+  orders = {tuple(row for row, _ in epoch) for epoch in shown}
+  assert len(orders) > 35
+  per_view = np.bincount([view for epoch in shown for _, view in epoch], minlength=VIEWS)
+  # 280 draws of three views: mean 93.3, standard deviation 7.9.
+  assert (np.abs(per_view - 280 / VIEWS) < 5 * 7.9).all()
+
+
+def test_models_beyond_the_last_full_batch_wait_for_another_epoch(made):
+  assert len(batches(made, batch_size=3)) == 2
+  assert len(batches(made, batch_size=7)) == 1
+
+
+def test_seed_decides(made):
+  first = images(batches(made)[i] for i in range(6))
+  assert images(batches(made)[i] for i in range(6)) == first
+  assert images(batches(made, seed=1)[i] for i in range(6)) != first
+
+
+def test_iterating_is_indexing(made):
+  mapped = batches(made)
+  got = images(itertools.islice(data.iterate(mapped), 8))
+  assert got == images(mapped[i] for i in range(8))
+
+
+def test_epochs_end(made):
+  mapped = batches(made)
+  assert len(list(data.iterate(mapped, num_epochs=2))) == 2 * len(mapped) == 6
+
+
+@pytest.mark.parametrize('consumed', [0, 1, 5])
+def test_restored_iterator_continues_exactly(made, consumed):
+  first = data.iterate(batches(made))
+  for _ in range(consumed):
+    next(first)
+  state = first.get_state()
+  expected = images(itertools.islice(first, 4))
+  second = data.iterate(batches(made))
+  second.set_state(state)
+  assert images(itertools.islice(second, 4)) == expected
+
+
+def test_shards_are_disjoint_and_of_one_length(made):
+  known = known_images(made)
+  seen = []
+  for process in range(2):
+    part = batches(made, batch_size=1, shard=(process, 2))
+    assert len(part) == 3
+    seen.append({known[b][0] for b in images(part[i] for i in range(3))})
+  assert not seen[0] & seen[1]
+  assert len(seen[0] | seen[1]) == 6
+
+
+def test_too_few_models_for_a_batch(made):
+  with pytest.raises(UserError, match='7 finished training models, too few for a batch of 60'):
+    batches(made, batch_size=60)
+  with pytest.raises(UserError, match=r'2 processes of batch size 4: .* at most 3'):
+    batches(made, batch_size=4, shard=(0, 2))
+
+
+def test_evaluation_pairs():
+  np.testing.assert_array_equal(
+    data.evaluation_pairs([4, 7], 3), [[4, 0], [4, 1], [4, 2], [7, 0], [7, 1], [7, 2]]
+  )
+  some = data.evaluation_pairs(np.arange(20), 12, 20)
+  assert len(some) == 20
+  assert len(np.unique(some[:, 0])) == 20  # every model once
+  assert len(np.unique(some[:, 1])) == 12  # from all sides
+  assert data.evaluation_pairs([4, 7], 3, 99).shape == (6, 2)
+  assert data.evaluation_pairs([], 12).shape == (0, 2)
+
+
+def test_evaluation_goes_through_the_pairs_in_order(made):
+  pairs = data.evaluation_pairs(data.select_rows(made, 'val'), VIEWS)
+  got = list(
+    data.iterate(data.evaluation_batches(data.read_color, made, pairs, batch_size=4), num_epochs=1)
+  )
+  assert [len(b.image) for b in got] == [4, 2]
+  known = known_images(made)
+  assert [known[b] for b in images(got)] == [tuple(p) for p in pairs]
