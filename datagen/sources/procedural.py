@@ -1,0 +1,69 @@
+"""The embedded source: objects built from a seed, so that everything runs without any download.
+
+Model i of a category under a seed is the same whatever the limit, the machine and the order in
+which models are made: its generator is seeded from (seed, category, i) alone. Objects stand
+upright (y up) and face +z.
+"""
+
+import importlib
+import zlib
+
+import numpy as np
+
+from cvn.errors import UserError
+from datagen.mesh import TexturedMesh
+from datagen.sources import SourceModel
+from datagen.sources.shapes.parts import assemble
+
+CATEGORIES = ('chair',)
+DEFAULT_LIMIT = 200  # models, where no limit is given: the source itself has no end
+
+
+def list_models(
+  category: str | None, input_dir: str | None, limit: int | None, seed: int
+) -> list[SourceModel]:
+  """The first `limit` models of a category.
+
+  Args:
+    category: one of `CATEGORIES`.
+    input_dir: must be empty; nothing is read.
+    limit: how many; None means `DEFAULT_LIMIT`.
+    seed: 0 or more; another seed gives other objects, with other ids.
+
+  Returns:
+    Models in a stable order; a shorter list is the beginning of a longer one.
+
+  Raises:
+    UserError: an unknown category, a folder given, a negative seed or limit.
+  """
+  if category not in CATEGORIES:
+    known = ', '.join(CATEGORIES)
+    raise UserError(f'the procedural source has no category {category!r}; it makes: {known}')
+  if input_dir:
+    raise UserError(f'the procedural source reads no folder: leave out {input_dir!r}')
+  if seed < 0:
+    raise UserError(f'the seed must be 0 or more, not {seed}')
+  if limit is not None and limit < 1:
+    raise UserError(f'the limit must be 1 or more, not {limit}')
+  return [
+    SourceModel(
+      id=f'{category}-{seed}-{index:05d}',
+      category=category,
+      seed=_model_seed(seed, category, index),
+      licence='MIT',
+      creator='cvn procedural source',
+    )
+    for index in range(DEFAULT_LIMIT if limit is None else limit)
+  ]
+
+
+def load(model: SourceModel) -> TexturedMesh:
+  """Builds a model's mesh from its seed alone."""
+  shapes = importlib.import_module(f'datagen.sources.shapes.{model.category}')
+  return assemble(shapes.build(np.random.default_rng(model.seed)))
+
+
+def _model_seed(seed: int, category: str, index: int) -> int:
+  """A 64-bit seed of its own for each model."""
+  entropy = np.random.SeedSequence([seed, zlib.crc32(category.encode()), index])
+  return int(entropy.generate_state(1, np.uint64)[0])

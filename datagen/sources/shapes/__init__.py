@@ -1,0 +1,1 @@
+"""Objects built from a random generator: one module a category, each with `build(rng)`."""
