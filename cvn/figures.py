@@ -26,7 +26,8 @@ FLOW_CORNERS = np.array([[0.10, 0.30, 1.00], [1.00, 0.15, 0.45], [0.00, 0.75, 0.
 WEIGHT_COLORS = np.array([[0.10, 0.25, 0.85], [1.00, 0.87, 0.10]])
 
 MARGIN = 1.03  # of a raised camera's frame around the cube; the level camera's is the same
-PANEL_AZIMUTHS = (30, 210)  # degrees: the object's front and back, each from its side
+PANEL_AZIMUTH = 30  # degrees: where a panel shows its volumes from
+RESULT_AZIMUTHS = (315, 150)  # degrees: the result's two other sides
 _TEXT_COLOR = (40, 40, 40)
 
 
@@ -197,8 +198,8 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
   """One picture's way through the networks, in one row (paper, Figure "res_vis").
 
   Input, flow in the colour code, sampled colour, regressed colour, blend weight (yellow: the
-  sampled colour counts, blue: the regressed), blended colour, and the result from behind. The
-  volumes are shown on the result's occupied voxels.
+  sampled colour counts, blue: the regressed), blended colour, and the result from two other sides.
+  The volumes are shown on the result's occupied voxels.
 
   Args:
     view: uint8 [H, W, 3 or 4].
@@ -209,10 +210,9 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
   Returns:
     uint8 [H, W, 3].
   """
-  front, back = PANEL_AZIMUTHS
 
   def on_surface(color):
-    return draw_voxels(voxels._replace(color=color), front, size=size)
+    return draw_voxels(voxels._replace(color=color), PANEL_AZIMUTH, size=size)
 
   enlarged = Image.fromarray(over(view)).resize((size, size), Image.Resampling.NEAREST)
   images = {
@@ -224,8 +224,10 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
       weight_color_code(reconstruction.weight)
     ),
     'blended': on_surface(reconstruction.blended),
-    'result, one side': draw_voxels(voxels, front, size=size),
-    'result, other side': draw_voxels(voxels, back, size=size),
+    **{
+      f'result, from {azimuth}°': draw_voxels(voxels, azimuth, size=size)
+      for azimuth in RESULT_AZIMUTHS
+    },
   }
   return grid_of_images([list(images.values())], column_titles=list(images))
 
