@@ -21,46 +21,62 @@ from cvn import blending, checkpoint, errors, export, figures, photo, reconstruc
 from cvn.errors import UserError
 from cvn.files import atomic_write
 
-_IMAGE = flags.DEFINE_multi_string(
-  'image', None, 'Pictures: names separated by commas; the flag may be repeated.'
-)
-_SHAPE = flags.DEFINE_string('shape', None, "The trained shape network's workdir.")
-_COLOR = flags.DEFINE_string('color', None, "The trained colour network's workdir.")
-_OUTPUT = flags.DEFINE_string('output', None, 'The folder the results go to.')
-_ALPHA = flags.DEFINE_float(
-  'alpha', blending.ALPHA, 'In (0, 1]: the smaller, the more the sampled colours count.'
-)
-_THRESHOLD = flags.DEFINE_float(
-  'threshold', reconstruct.OCCUPIED, 'In (0, 1): the probability from which on a voxel is occupied.'
-)
-flags.mark_flags_as_required(['image', 'shape', 'color', 'output'])
-flags.register_validator('alpha', lambda x: 0 < x <= 1, message='must be in (0, 1]')
-flags.register_validator('threshold', lambda x: 0 < x < 1, message='must be in (0, 1)')
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  own = {'flag_values': f}
+  flags.DEFINE_multi_string(
+    'image', None, 'Pictures: names separated by commas; the flag may be repeated.', **own
+  )
+  flags.DEFINE_string('shape', None, "The trained shape network's workdir.", **own)
+  flags.DEFINE_string('color', None, "The trained colour network's workdir.", **own)
+  flags.DEFINE_string('output', None, 'The folder the results go to.', **own)
+  flags.DEFINE_float(
+    'alpha',
+    blending.ALPHA,
+    'In (0, 1]: the smaller, the more the sampled colours count.',
+    **own,
+  )
+  flags.DEFINE_float(
+    'threshold',
+    reconstruct.OCCUPIED,
+    'In (0, 1): the probability from which on a voxel is occupied.',
+    **own,
+  )
+  flags.mark_flags_as_required(['image', 'shape', 'color', 'output'], f)
+  flags.register_validator('alpha', lambda x: 0 < x <= 1, 'must be in (0, 1]', f)
+  flags.register_validator('threshold', lambda x: 0 < x < 1, 'must be in (0, 1)', f)
 
 
 def main(_) -> int:
-  paths = split_names(_IMAGE.value)
+  return run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> int:
+  """Reconstructs as the flags say; returns the exit status."""
+  paths = split_names(f.image)
   if not paths:
     raise UserError('--image names no file')
-  names = output_names(paths)
-  taken = {os.path.realpath(os.path.join(_OUTPUT.value, n + '.png')) for n in names.values()}
+  stems = {p: os.path.join(f.output, name) for p, name in output_names(paths).items()}
+  taken = {os.path.realpath(f'{stem}.png') for stem in stems.values()}
   for path in paths:
     if os.path.realpath(path) in taken:
       raise UserError(f'the results would overwrite {path}: give another folder as --output')
-  _, shape = checkpoint.load_network(_SHAPE.value, 'shape')
-  _, color = checkpoint.load_network(_COLOR.value, 'color')
+  _, shape = checkpoint.load_network(f.shape, 'shape')
+  _, color = checkpoint.load_network(f.color, 'color')
   failures = 0
   for path in tqdm(paths, unit='picture', disable=None):
     start = time.perf_counter()
     try:
-      stem = os.path.join(_OUTPUT.value, names[path])
-      count = reconstruct_file(path, stem, shape, color)
+      count = reconstruct_file(
+        path, stems[path], shape, color, alpha=f.alpha, threshold=f.threshold
+      )
     except UserError as e:
       failures += 1
       tqdm.write(f'error: {path}: {str(e).removeprefix(path).lstrip(": ")}', sys.stderr)
       continue
     seconds = time.perf_counter() - start
-    tqdm.write(f'{path} -> {stem}.glb .ply .png  ({count} voxels, {seconds:.1f} s)')
+    tqdm.write(f'{path} -> {stems[path]}.glb .ply .png  ({count} voxels, {seconds:.1f} s)')
   if failures:
     tqdm.write(f'error: {failures} of {len(paths)} pictures failed', sys.stderr)
   return int(failures > 0)
@@ -87,18 +103,17 @@ def output_names(paths: Sequence[str]) -> dict[str, str]:
   return names
 
 
-def reconstruct_file(path: str, stem: str, shape, color) -> int:
+def reconstruct_file(path: str, stem: str, shape, color, *, alpha: float, threshold: float) -> int:
   """One picture -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
   view = photo.load_view(path)
-  batch = reconstruct.reconstruct(
-    shape, color, view[None].astype(np.float32) / 255, alpha=_ALPHA.value
-  )
+  views = view[None].astype(np.float32) / 255
+  batch = reconstruct.reconstruct(shape, color, views, alpha=alpha)
   one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-  voxels = reconstruct.to_voxels(one, _THRESHOLD.value)
+  voxels = reconstruct.to_voxels(one, threshold)
   count = int(np.sum(voxels.occupancy))
   if count == 0:
     raise UserError(
-      f'no voxel reaches --threshold={_THRESHOLD.value}, the highest probability is'
+      f'no voxel reaches --threshold={threshold}, the highest probability is'
       f' {one.probability.max():.3g}: lower the threshold, or train the shape network longer'
     )
   export.write_glb(f'{stem}.glb', voxels)
@@ -109,4 +124,5 @@ def reconstruct_file(path: str, stem: str, shape, color) -> int:
 
 
 if __name__ == '__main__':
+  define_flags(flags.FLAGS)
   errors.run(main)

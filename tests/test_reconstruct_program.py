@@ -1,4 +1,4 @@
-"""The program from pictures to meshes, run as a user runs it, on untrained networks."""
+"""The program from pictures to meshes, on networks that were never trained."""
 
 import os
 import subprocess
@@ -10,10 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from absl import flags
 from PIL import Image
 
 from cvn import checkpoint
+from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
+from experiments import reconstruct as program
 
 
 class _State(NamedTuple):
@@ -44,10 +47,12 @@ def workdirs(tmp_path_factory):
   return folders
 
 
-def _run(*arguments, **flags):
-  command = [sys.executable, '-m', 'experiments.reconstruct', *arguments]
-  command += [f'--{k}={v}' for k, v in flags.items()]
-  return subprocess.run(command, capture_output=True, text=True)
+def _run(*arguments, **named):
+  """The program's exit status, within this process."""
+  f = flags.FlagValues()
+  program.define_flags(f)
+  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
+  return program.run(f)
 
 
 def _picture(path, color):
@@ -58,24 +63,20 @@ def _picture(path, color):
   return str(path)
 
 
-def test_pictures_good_and_bad(tmp_path, workdirs):
+def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
   first = _picture(tmp_path / 'a' / 'chair.png', (200, 30, 40))
   second = _picture(tmp_path / 'b' / 'chair.png', (30, 150, 220))
   broken = tmp_path / 'broken.png'
   broken.write_text('no picture')
   missing = tmp_path / 'missing.png'
   output = tmp_path / 'new' / 'out'
-  done = _run(
-    f'--image={first},{broken}',
-    f'--image={second},{missing},{first}',
-    output=output,
-    threshold=0.3,
-    **workdirs,
-  )
-  assert done.returncode == 1 and 'Traceback' not in done.stderr
-  errors = [line for line in done.stderr.splitlines() if line.startswith('error: ')]
+  pictures = f'--image={first},{broken}', f'--image={second},{missing},{first}'
+  assert _run(*pictures, output=output, threshold=0.3, **workdirs) == 1
+  stdout, stderr = capsys.readouterr()
+  errors = [line for line in stderr.splitlines() if line.startswith('error: ')]
   assert len(errors) == 3 and str(broken) in errors[0] and str(missing) in errors[1]
   assert errors[2] == 'error: 2 of 4 pictures failed'
+  assert f'{first} -> ' in stdout and f'{second} -> ' in stdout
   assert sorted(os.listdir(output)) == [
     f'chair{n}.{suffix}' for n in ('', '_2') for suffix in ('glb', 'ply', 'png')
   ]
@@ -85,32 +86,50 @@ def test_pictures_good_and_bad(tmp_path, workdirs):
     assert len(ply.faces) == len(glb.faces) > 0
     with Image.open(output / f'{name}.png') as panel:
       assert panel.width > 4 * panel.height
-  assert f'{first} -> ' in done.stdout and f'{second} -> ' in done.stdout
 
 
-def test_nothing_occupied_says_what_the_highest_probability_is(tmp_path, workdirs):
+def test_nothing_occupied_says_what_the_highest_probability_is(tmp_path, workdirs, capsys):
   picture = _picture(tmp_path / 'a.png', (200, 30, 40))
   output = tmp_path / 'out'
-  done = _run(image=picture, output=output, threshold=0.999999, **workdirs)
-  assert done.returncode == 1 and 'Traceback' not in done.stderr
-  assert 'highest probability is 0.' in done.stderr
+  assert _run(image=picture, output=output, threshold=0.999999, **workdirs) == 1
+  assert 'highest probability is 0.' in capsys.readouterr().err
   assert not output.exists()
 
 
 @pytest.mark.parametrize(
-  'flags, words',
-  [
-    ({'alpha': 0}, 'alpha'),
-    ({'threshold': 1}, 'threshold'),
-    ({'shape': '/nowhere'}, '/nowhere'),
-    ({'output': 'in'}, 'overwrite'),
-  ],
+  'name, value',
+  [('alpha', 0), ('alpha', 'nan'), ('alpha', 'x'), ('threshold', 1), ('threshold', 'nan')],
 )
-def test_bad_flags_end_in_one_clear_line(tmp_path, workdirs, flags, words):
-  good = {'image': _picture(tmp_path / 'in' / 'a.png', (9, 9, 9)), 'output': tmp_path / 'out'}
-  flags = {**good, **workdirs, **flags}
-  if flags['output'] == 'in':
-    flags['output'] = tmp_path / 'in'
-  done = _run(**flags)
-  assert done.returncode != 0 and 'Traceback' not in done.stderr
-  assert words in done.stderr
+def test_flags_out_of_range(name, value):
+  with pytest.raises(flags.Error, match=name):
+    _run(image='a', shape='a', color='a', output='a', **{name: value})
+
+
+def test_bad_folders_and_names(tmp_path, workdirs):
+  picture = _picture(tmp_path / 'in' / 'a.png', (9, 9, 9))
+  good = {'image': picture, 'output': tmp_path / 'out', **workdirs}
+  with pytest.raises(UserError, match='names no file'):
+    _run(**good | {'image': ','})
+  with pytest.raises(UserError, match='overwrite'):
+    _run(**good | {'output': tmp_path / 'in'})
+  with pytest.raises(UserError, match='no training folder'):
+    _run(**good | {'shape': tmp_path})
+  with pytest.raises(UserError, match='holds a shape network'):
+    _run(**good | {'color': workdirs['shape']})
+
+
+def test_names_of_pictures(tmp_path, monkeypatch):
+  monkeypatch.chdir(tmp_path)
+  (tmp_path / 'a,b.png').touch()
+  assert program.split_names(['a,b.png', 'c.png, d.png,', 'c.png']) == ['a,b.png', 'c.png', 'd.png']
+  paths = ['x/a.png', 'y/a.jpg', 'a_2.png', 'z/a.png']
+  names = program.output_names(paths)
+  assert names['x/a.png'] == 'a' and len(set(names.values())) == 4
+
+
+def test_program_ends_in_one_line():
+  command = [sys.executable, '-m', 'experiments.reconstruct']
+  nothing = [f'--{k}=/nowhere/{k}' for k in ('image', 'shape', 'color', 'output')]
+  done = subprocess.run(command + nothing, capture_output=True, text=True)
+  assert done.returncode == 1
+  assert done.stderr.startswith('error: /nowhere/shape') and done.stderr.count('\n') == 1
