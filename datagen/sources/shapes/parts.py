@@ -32,7 +32,7 @@ def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
   """
   corners = solid.vertices[solid.faces]
   low, high = solid.vertices.min(0), solid.vertices.max(0)
-  normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+  normal = _normals(solid)
   major = np.abs(normal).argmax(1) if axis is None else np.full(len(normal), axis)
   sign = np.where(normal[np.arange(len(normal)), major] < 0, -1.0, 1.0)
   t = (corners - (low + high) / 2) / (
@@ -45,6 +45,18 @@ def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
   u = u * np.where(major == 1, 1, np.where(major == 0, -sign, sign))[:, None]
   v = v * np.where(major == 1, -1.0, 1.0)[:, None]
   return Part(solid.vertices, solid.faces, np.stack([u, v], -1) + 0.5, material)
+
+
+def facing(solid: Solid, axes) -> Solid:
+  """Only the faces whose normals are closest to one of some axes; the extent stays known."""
+  keep = np.isin(np.abs(_normals(solid)).argmax(1), axes)
+  return solid._replace(faces=solid.faces[keep])
+
+
+def _normals(solid: Solid | Part) -> np.ndarray:
+  """Normals [F, 3] as long as twice the area."""
+  a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+  return np.cross(b - a, c - a)
 
 
 def move(part, offset):
@@ -84,11 +96,7 @@ def assemble(parts) -> TexturedMesh:
   pictures: list[np.ndarray] = []
   start = 0
   for part in parts:
-    corners = part.vertices[part.faces]
-    area = np.linalg.norm(
-      np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    keep = area > 1e-12
+    keep = np.linalg.norm(_normals(part), axis=1) > 1e-12
     picture = part.material.picture
     slot = -1
     if picture is not None:
