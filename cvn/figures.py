@@ -195,7 +195,7 @@ def grid_of_images(
 
 
 def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, size: int = 192):
-  """One picture's way through the networks, in one row (paper, Figure "res_vis").
+  """One picture's way through the networks (paper, Figure "res_vis").
 
   Input, flow in the colour code, sampled colour, regressed colour, blend weight (yellow: the
   sampled colour counts, blue: the regressed), blended colour, and the result from two other sides.
@@ -205,7 +205,7 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
     view: uint8 [H, W, 3 or 4].
     reconstruction: a `cvn.reconstruct.Reconstruction` of this one view, numpy.
     voxels: the result of `cvn.reconstruct.to_voxels`.
-    size: height and width of each image in pixels.
+    size: height and width of each image in pixels, 160 at least to hold the captions.
 
   Returns:
     uint8 [H, W, 3].
@@ -215,21 +215,21 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
     return draw_voxels(voxels._replace(color=color), PANEL_AZIMUTH, size=size)
 
   enlarged = Image.fromarray(over(view)).resize((size, size), Image.Resampling.NEAREST)
-  images = {
-    'input': np.asarray(enlarged),
-    'flow': on_surface(flow_color_code(reconstruction.flow)),
-    'sampled': on_surface(reconstruction.sampled),
-    'regressed': on_surface(reconstruction.regressed),
-    'weight\nyellow: sampled, blue: regressed': on_surface(
-      weight_color_code(reconstruction.weight)
-    ),
-    'blended': on_surface(reconstruction.blended),
-    **{
-      f'result, from {azimuth}°': draw_voxels(voxels, azimuth, size=size)
-      for azimuth in RESULT_AZIMUTHS
+  weight = weight_color_code(reconstruction.weight)
+  rows = [
+    {
+      'input': np.asarray(enlarged),
+      'flow': on_surface(flow_color_code(reconstruction.flow)),
+      'sampled': on_surface(reconstruction.sampled),
+      'regressed': on_surface(reconstruction.regressed),
     },
-  }
-  return grid_of_images([list(images.values())], column_titles=list(images))
+    {
+      'weight (yellow: sampled)': on_surface(weight),
+      'blended': on_surface(reconstruction.blended),
+      **{f'result from {a}°': draw_voxels(voxels, a, size=size) for a in RESULT_AZIMUTHS},
+    },
+  ]
+  return np.concatenate([grid_of_images([list(r.values())], column_titles=list(r)) for r in rows])
 
 
 def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.Camera, float]:

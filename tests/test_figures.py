@@ -146,8 +146,12 @@ def test_panel_shows_each_volume_on_the_voxels():
   volumes = _Volumes(flat(0, 0), flat(0, 1, 0), flat(1, 0, 0), flat(1.0)[..., 0], flat(1, 1, 0))
   voxels = grid.ColoredVoxels(np.ones((n,) * 3, bool), volumes.blended)
   view = np.full((16, 16, 4), 255, np.uint8)
-  size = 32
-  panel = figures.reconstruction_panel(view, volumes, voxels, size=size)
-  middle = panel[-size // 2 - 4]  # a row through the middle of all images
-  seen = {tuple(np.uint8(c > 100)) for c in middle}
-  assert {(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 0)} <= seen  # flow, sampled, regressed, rest
+  panel = figures.reconstruction_panel(view, volumes, voxels, size=160)
+  left, right = (
+    {tuple(c) for c in np.unique((half > 100).reshape(-1, 3), axis=0)}
+    for half in np.array_split(panel, 2, axis=1)
+  )
+  red, green, blue, yellow = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0)
+  assert {blue, yellow} <= left  # flow, weight
+  assert {green, red, yellow} <= right  # sampled, regressed, result
+  assert not {green, red} & left

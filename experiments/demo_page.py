@@ -1,0 +1,296 @@
+"""The demonstration's report: one HTML file that needs nothing beside it, and no network.
+
+Pictures are data URIs. The models' GLB files are embedded whole, and a small WebGL viewer, written
+out below, reads them: what the page shows is what the files hold.
+"""
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import matplotlib.figure
+
+
+class Example(NamedTuple):
+  """One held-out picture and what became of it."""
+
+  name: str
+  panel: bytes  # PNG
+  truth: bytes  # PNG
+  glb: bytes
+  links: Sequence[str]  # files to offer, relative to the page
+
+
+class Curve(NamedTuple):
+  """A quantity in the course of training."""
+
+  title: str
+  epochs: Sequence[float]
+  values: Sequence[float]
+  validation_epochs: Sequence[float]
+  validation_values: Sequence[float]
+
+
+class Table(NamedTuple):
+  """Numbers with a head above and a label before each row."""
+
+  head: Sequence[str]
+  rows: Sequence[tuple[str, Sequence[str]]]
+  best: Sequence[int]  # the row to set in bold, one a column
+
+
+class Page(NamedTuple):
+  """All that the report shows."""
+
+  about: str
+  verdict: str
+  success: bool
+  examples: Sequence[Example]
+  table: Table
+  curves: Sequence[Curve]
+  contact_sheet: bytes  # PNG
+  commands: Sequence[tuple[str, float]]  # and the seconds each took
+
+
+def render(page: Page) -> str:
+  """The report as HTML."""
+  total = sum(seconds for _, seconds in page.commands)
+  kind = 'good' if page.success else 'bad'
+  parts = [
+    f'<p>{html.escape(page.about)}</p>',
+    f'<p class="verdict {kind}">{html.escape(page.verdict)}</p>',
+    '<h2>Held-out pictures and the models made from them</h2>',
+    '<p>Drag to turn, scroll to zoom. The weight is yellow where the sampled colour counts and blue'
+    ' where the regressed one does. The truth is drawn from the same directions.</p>',
+    *(_example(i, e) for i, e in enumerate(page.examples)),
+    '<h2>Evaluation on the held-out split</h2>',
+    _table(page.table),
+    '<h2>Training</h2>',
+    f'<div class="curves">{"".join(_curve(c) for c in page.curves)}</div>',
+    '<h2>The first objects of the data set</h2>',
+    f'<img class="wide" alt="contact sheet" src="{_data_uri(page.contact_sheet)}">',
+    f'<h2>Commands, {_minutes(total)} in all</h2>',
+    '<pre>',
+    *(f'{_minutes(s):>8}  {html.escape(c)}\n' for c, s in page.commands),
+    '</pre>',
+  ]
+  return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', _VIEWER)
+
+
+def _example(index: int, example: Example) -> str:
+  links = ' '.join(
+    f'<a href="{html.escape(link)}" download>{html.escape(link.rsplit("/", 1)[-1])}</a>'
+    for link in example.links
+  )
+  return f"""<section>
+<h3>{html.escape(example.name)} <small>{links}</small></h3>
+<div class="example">
+<canvas class="viewer" data-glb="glb{index}" width="440" height="440"></canvas>
+<div><img class="wide" alt="reconstruction" src="{_data_uri(example.panel)}">
+<img alt="truth" src="{_data_uri(example.truth)}"></div>
+</div>
+<script type="text/plain" id="glb{index}">{base64.b64encode(example.glb).decode()}</script>
+</section>"""
+
+
+def _table(table: Table) -> str:
+  head = ''.join(f'<th>{html.escape(h)}</th>' for h in ('', *table.head))
+  lines = []
+  for r, (label, values) in enumerate(table.rows):
+    cells = ''.join(
+      f'<td class="best">{html.escape(v)}</td>'
+      if table.best[c] == r
+      else f'<td>{html.escape(v)}</td>'
+      for c, v in enumerate(values)
+    )
+    lines.append(f'<tr><th>{html.escape(label)}</th>{cells}</tr>')
+  return f'<table><tr>{head}</tr>{"".join(lines)}</table>'
+
+
+def _curve(curve: Curve) -> str:
+  """A small line chart as inline SVG."""
+  figure = matplotlib.figure.Figure(figsize=(4.4, 2.8), layout='constrained')
+  axes = figure.subplots()
+  axes.plot(curve.epochs, curve.values, color='#4a7fc1', linewidth=1, label='training')
+  axes.plot(
+    curve.validation_epochs,
+    curve.validation_values,
+    'o-',
+    color='#d9822b',
+    ms=3,
+    label='validation',
+  )
+  axes.set(title=curve.title, xlabel='epoch')
+  axes.grid(alpha=0.3)
+  axes.legend(frameon=False)
+  text = io.StringIO()
+  figure.savefig(text, format='svg', metadata={'Date': None})
+  svg = text.getvalue()
+  return svg[svg.index('<svg') :]
+
+
+def _data_uri(png: bytes) -> str:
+  return f'data:image/png;base64,{base64.b64encode(png).decode()}'
+
+
+def _minutes(seconds: float) -> str:
+  return f'{seconds / 60:.1f} min' if seconds >= 60 else f'{seconds:.0f} s'
+
+
+_DOCUMENT = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>One picture in, a coloured 3D model out</title>
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 2em auto;
+  max-width: 1240px; padding: 0 1em; }
+h1, h2, h3 { line-height: 1.2; }
+h2 { margin-top: 2em; border-bottom: 1px solid #ddd; padding-bottom: .2em; }
+h3 { margin: 1.5em 0 .3em; }
+small { font-weight: normal; margin-left: 1em; }
+.verdict { padding: .6em 1em; border-left: 6px solid; }
+.good { background: #eef7ee; border-color: #3a9a4b; }
+.bad { background: #fbeeee; border-color: #c43c3c; }
+.example { display: flex; gap: 1em; align-items: center; }
+.example > div { flex: 1; min-width: 0; }
+.viewer { width: 220px; height: 220px; flex: none; background: #f5f5f5; border-radius: 6px;
+  cursor: grab; touch-action: none; }
+.wide { max-width: 100%; display: block; }
+table { border-collapse: collapse; }
+th, td { padding: .35em 1em; text-align: right; border-bottom: 1px solid #ddd;
+  font-weight: normal; }
+th:first-child { text-align: left; }
+td { font-variant-numeric: tabular-nums; }
+.best { font-weight: bold; }
+.curves { display: flex; flex-wrap: wrap; gap: 1em; }
+.curves svg { width: 390px; height: auto; }
+pre { background: #f5f5f5; padding: 1em; overflow-x: auto; font-size: 13px; }
+</style>
+</head>
+<body>
+<h1>One picture in, a coloured 3D model out</h1>
+{body}
+<script>{viewer}</script>
+</body>
+</html>
+"""
+
+# A viewer of the GLB files that cvn.export writes: one primitive, positions, (u, v) and a palette.
+_VIEWER = r"""
+'use strict';
+const VERTEX = `#version 300 es
+in vec3 position; in vec2 uv; uniform vec4 turn; uniform float distance;
+out vec3 p; out vec2 t;
+void main() {
+  float ca = turn.x, sa = turn.y, ce = turn.z, se = turn.w;
+  vec3 q = vec3(ca * position.x - sa * position.z, position.y, sa * position.x + ca * position.z);
+  p = vec3(q.x, ce * q.y - se * q.z, se * q.y + ce * q.z - distance);
+  t = uv;
+  gl_Position = vec4(4.0 * p.xy, -1.105 * p.z - 1.053, -p.z);  // depths from 0.5 to 10
+}`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 p; in vec2 t; uniform sampler2D palette; out vec4 color;
+void main() {
+  vec3 n = normalize(cross(dFdx(p), dFdy(p)));
+  float light = 0.72 + 0.28 * max(0.0, dot(n, normalize(vec3(-0.45, 0.75, 0.5))));
+  color = vec4(light * texture(palette, t).rgb, 1.0);
+}`;
+
+function parse(buffer) {
+  const size = new DataView(buffer).getUint32(12, true);
+  const tree = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 20, size)));
+  const start = 28 + size;
+  const view = (i) => {
+    const v = tree.bufferViews[i], from = start + (v.byteOffset || 0);
+    return buffer.slice(from, from + v.byteLength);
+  };
+  const primitive = tree.meshes[0].primitives[0];
+  const accessor = (i) => view(tree.accessors[i].bufferView);
+  const texture = tree.materials[primitive.material].pbrMetallicRoughness.baseColorTexture.index;
+  const image = tree.images[tree.textures[texture].source];
+  return {
+    index: new Uint32Array(accessor(primitive.indices)),
+    position: new Float32Array(accessor(primitive.attributes.POSITION)),
+    uv: new Float32Array(accessor(primitive.attributes.TEXCOORD_0)),
+    image: new Blob([view(image.bufferView)], {type: image.mimeType}),
+  };
+}
+
+async function show(canvas) {
+  const text = atob(document.getElementById(canvas.dataset.glb).textContent);
+  const model = parse(Uint8Array.from(text, (c) => c.charCodeAt(0)).buffer);
+  const gl = canvas.getContext('webgl2', {antialias: true});
+  if (!gl) { canvas.title = 'This browser has no WebGL 2'; return; }
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw gl.getProgramInfoLog(program);
+  gl.useProgram(program);
+  for (const [name, width] of [['position', 3], ['uv', 2]]) {
+    const at = gl.getAttribLocation(program, name);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, model[name], gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(at);
+    gl.vertexAttribPointer(at, width, gl.FLOAT, false, 0, 0);
+  }
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, model.index, gl.STATIC_DRAW);
+  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  const picture = await createImageBitmap(model.image, {colorSpaceConversion: 'none'});
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, picture);
+  gl.enable(gl.DEPTH_TEST);
+  gl.enable(gl.CULL_FACE);
+  gl.clearColor(0.96, 0.96, 0.96, 1);
+
+  // Degrees, as in the panels, and units of the cube's side.
+  let azimuth = 30, elevation = 20, distance = 3, turning = true, seen = false, last = 0, asked = 0;
+  const redraw = () => { asked = asked || requestAnimationFrame(draw); };
+  function draw(time) {
+    asked = 0;
+    if (!seen) return;
+    if (turning) azimuth -= 0.02 * Math.min(time - last, 50);
+    last = time;
+    const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
+    gl.uniform4f(gl.getUniformLocation(program, 'turn'),
+      Math.cos(a), Math.sin(a), Math.cos(e), Math.sin(e));
+    gl.uniform1f(gl.getUniformLocation(program, 'distance'), distance);
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.drawElements(gl.TRIANGLES, model.index.length, gl.UNSIGNED_INT, 0);
+    if (turning) redraw();
+  }
+  canvas.addEventListener('pointerdown', (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    turning = false;
+  });
+  canvas.addEventListener('pointermove', (event) => {
+    if (!event.buttons) return;
+    azimuth -= 0.6 * event.movementX;
+    elevation = Math.max(-90, Math.min(90, elevation + 0.6 * event.movementY));
+    redraw();
+  });
+  canvas.addEventListener('wheel', (event) => {
+    event.preventDefault();
+    distance = Math.max(1.5, Math.min(8, distance * Math.exp(0.001 * event.deltaY)));
+    redraw();
+  }, {passive: false});
+  new IntersectionObserver((entries) => {
+    seen = entries[entries.length - 1].isIntersecting;
+    if (seen) redraw();
+  }).observe(canvas);
+}
+
+for (const canvas of document.querySelectorAll('canvas.viewer')) show(canvas);
+"""
