@@ -15,7 +15,7 @@ from datagen.mesh import TexturedMesh
 from datagen.sources import SourceModel
 from datagen.sources.shapes.parts import assemble
 
-CATEGORIES = ('car', 'chair', 'human', 'table')
+CATEGORIES = ('car', 'chair', 'guitar', 'human', 'table')
 DEFAULT_LIMIT = 200  # models, where no limit is given: the source itself has no end
 
 

@@ -133,7 +133,8 @@ def tube(path, radius, *, sides: int = 8, up=(0.0, 1.0, 0.0)) -> Solid:
 
   Args:
     path: [N, 3] points.
-    radius: one number, [N], or [N, 2] half widths across (`up` x direction) and along `up`.
+    radius: one number, [N], or [N, 2] or [1, 2]: half widths across (`up` x direction) and
+      along `up`.
     sides: corners of the section; 4 gives a square bar that follows `up`.
     up: a direction the section's second axis starts close to.
   """
