@@ -11,12 +11,14 @@ another name, is never read, and goes with the next save. Saving is synchronous:
 and the step that follows donates the buffers it would be read from.
 """
 
+import contextlib
 import json
 import os
 from typing import Any
 
 import jax
 import numpy as np
+from absl import logging
 from orbax.checkpoint import v1 as ocp
 
 from cvn import files
@@ -96,11 +98,14 @@ def save(workdir: str, state, progress: dict[str, Any]) -> None:
   """
   checkpoints = os.path.join(os.path.abspath(workdir), 'checkpoints')
   try:
-    with ocp.training.Checkpointer(
-      checkpoints,
-      preservation_policy=ocp.training.preservation_policies.LatestN(KEEP),
-      cleanup_tmp_directories=True,
-    ) as checkpointer:
+    with (
+      _quiet(),
+      ocp.training.Checkpointer(
+        checkpoints,
+        preservation_policy=ocp.training.preservation_policies.LatestN(KEEP),
+        cleanup_tmp_directories=True,
+      ) as checkpointer,
+    ):
       checkpointer.save_checkpointables(
         int(state.step), _to_checkpointables(state), force=True, custom_metadata=progress
       )
@@ -175,15 +180,28 @@ def _to_checkpointables(state):
 def _load(workdir, step, load):
   path = os.path.join(os.path.abspath(workdir), 'checkpoints', str(step))
   try:
-    return load(path)
+    with _quiet():
+      return load(path)
   except Exception as e:  # damage shows in as many ways as there are files
     raise UserError(
       f'the checkpoint {path} is damaged ({_reason(e)}): remove it to go back to the one before'
     ) from e
 
 
+@contextlib.contextmanager
+def _quiet():
+  """Orbax logs all it does, and the tracebacks of errors that it raises besides."""
+  before = logging.get_verbosity()
+  logging.set_verbosity(logging.FATAL)
+  try:
+    yield
+  finally:
+    logging.set_verbosity(before)
+
+
 def _reason(e: BaseException) -> str:
-  """The first line of the error that started it all."""
+  """The error that started it all, in a line; of a long one the end, where storage says why."""
   while e.__cause__ is not None:
     e = e.__cause__
-  return (str(e).strip() or type(e).__name__).split('\n', 1)[0][:200]
+  line = (str(e).strip() or type(e).__name__).split('\n', 1)[0].split(' [', 1)[0]
+  return line if len(line) <= 120 else '...' + line[-120:]

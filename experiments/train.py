@@ -1,0 +1,262 @@
+r"""Trains a network on a data set.
+
+python -m experiments.train --network=shape|color --recipe=paper|release --data=DIR --workdir=DIR
+
+The same command goes on where the last one stopped, exactly; with more --epochs it goes further.
+Ctrl-C or SIGTERM saves first. WORKDIR holds config.json, checkpoints, log.jsonl and TensorBoard's
+files (see cvn.checkpoint and cvn.journal).
+"""
+
+import contextlib
+import math
+import signal
+import sys
+import time
+
+import jax
+import numpy as np
+from absl import flags
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from tqdm import tqdm
+
+from cvn import camera, checkpoint, data, errors, figures, grid, journal, reconstruct, train
+from cvn.dataset import Dataset, open_dataset
+from cvn.errors import UserError
+from cvn.recipe import RECIPES
+
+PICTURES = 4  # views drawn at each validation
+READERS = {'shape': data.read_shape, 'color': data.read_color}
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  own = {'flag_values': f}
+  flags.DEFINE_enum('network', None, sorted(READERS), 'Which of the two networks.', **own)
+  flags.DEFINE_enum('recipe', 'paper', sorted(RECIPES), 'What to follow where they differ.', **own)
+  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, "The run's folder.", **own)
+  flags.DEFINE_list('category', [], 'Categories to train on; all of them by default.', **own)
+  flags.DEFINE_integer('epochs', 500, 'Epochs in all.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipe's.", **own)
+  flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
+  flags.DEFINE_integer('log_every', 10, 'Steps between lines of the log.', lower_bound=1, **own)
+  flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
+  flags.DEFINE_integer('validation_views', 120, 'At most, each time.', lower_bound=1, **own)
+  flags.DEFINE_float('checkpoint_every', 5, 'Minutes between checkpoints.', 0, **own)
+  flags.mark_flags_as_required(['network', 'data', 'workdir'], f)
+  flags.register_validator(
+    'learning_rate', lambda x: x is None or 0 < x < math.inf, 'must be above 0', f
+  )
+
+
+def main(_) -> int:
+  return run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> int:
+  """Trains as the flags say; returns the exit status."""
+  recipe, read = RECIPES[f.recipe], READERS[f.network]
+  dataset = open_dataset(f.data)
+  check_sizes(dataset)
+  rows = data.select_rows(dataset, 'train', f.category)
+  batches = data.training_batches(read, dataset, rows, batch_size=f.batch_size, seed=f.seed)
+  validation = select_validation(f, dataset)
+  checkpoint.start(f.workdir, make_config(f, dataset, len(rows)))
+
+  put_batch, put_state = make_placement(f.batch_size)
+  state = put_state(
+    train.create_state(jax.random.key(f.seed), f.network, recipe, learning_rate=f.learning_rate)
+  )
+  train_step = train.make_step(f.network, recipe, learning_rate=f.learning_rate)
+  evaluate = train.make_eval(f.network, recipe)
+
+  iterator = data.iterate(batches)
+  window = []  # metrics of the steps since the last line of the log
+  restored = checkpoint.restore(f.workdir, state)
+  if restored is not None:
+    state, progress = restored
+    iterator.set_state(progress['iterator'])
+    window = progress['window']
+  step = first = int(state.step)
+  total = f.epochs * len(batches)
+  if step >= total:
+    print(f'{f.workdir} is trained for {step // len(batches)} epochs: raise --epochs to go on')
+    return 0
+  if len(validation) == 0:
+    print('no finished model in the split val: training without validation', file=sys.stderr)
+
+  saved_at = time.monotonic()
+  with (
+    contextlib.closing(iterator),
+    catch_signals() as caught,
+    out_of_memory_is_a_user_error(),
+    journal.open_journal(f.workdir, step) as log,
+    tqdm(
+      total=total * f.batch_size,
+      initial=step * f.batch_size,
+      unit='image',
+      mininterval=0.5 if sys.stderr.isatty() else 10,
+    ) as bar,
+  ):
+    while step < total and not caught:
+      state, metrics = train_step(state, put_batch(next(iterator)))
+      step += 1
+      epoch = step / len(batches)
+      window.append(metrics)
+      bar.set_description(f'epoch {math.ceil(epoch)}/{f.epochs}', refresh=False)
+      # The step before's loss, so as not to wait for this one's.
+      bar.set_postfix(loss=f'{float(window[-2:][0]["loss"]):.4f}', refresh=False)
+      bar.update(f.batch_size)
+
+      if step % f.log_every == 0 or step % len(batches) == 0:
+        journal.write_line(log, step, epoch, mean(fetch(window, step)))
+        journal.write_scalar(log, step, 'train/images_per_second', bar.format_dict['rate'] or 0)
+        window = []
+      if len(validation) and (step == total or step % (f.validate_every * len(batches)) == 0):
+        held_out = data.evaluation_batches(read, dataset, validation, batch_size=f.batch_size)
+        with contextlib.closing(data.iterate(held_out, num_epochs=1)) as views:
+          found = mean(jax.device_get([evaluate(state, put_batch(b)) for b in views]))
+        journal.write_line(log, step, epoch, {'validation': found})
+        picture = draw(f.network, state, dataset, validation[:: -(-len(validation) // PICTURES)])
+        journal.write_picture(log, step, 'validation/views', picture)
+      if step == total or caught or time.monotonic() - saved_at >= 60 * f.checkpoint_every:
+        window = fetch(window, step)  # first, for it refuses to save what is not finite
+        checkpoint.save(f.workdir, state, {'iterator': iterator.get_state(), 'window': window})
+        saved_at = time.monotonic()
+
+  print(f'{f.workdir}: steps {first} to {step} of {total}, epoch {step / len(batches):g}')
+  if caught:
+    print('stopped; the same command goes on from here', file=sys.stderr)
+    return 128 + caught[0]
+  return 0
+
+
+def check_sizes(dataset: Dataset) -> None:
+  """Refuses data of another size than the networks'."""
+  m = dataset.manifest
+  if (m.image_size, m.grid_size) != (camera.IMAGE_SIZE, grid.GRID_SIZE):
+    raise UserError(
+      f'{dataset.root} has {m.image_size}-pixel views and a grid of {m.grid_size},'
+      f' the networks need {camera.IMAGE_SIZE} and {grid.GRID_SIZE}: make the data set again'
+    )
+
+
+def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
+  """Pairs (row, view) [P, 2] of the split val, in whole batches where they fill one."""
+  rows = data.select_rows(dataset, 'val', f.category)
+  views = len(dataset.manifest.azimuths)
+  count = min(f.validation_views, len(rows) * views)
+  if count > f.batch_size:
+    count -= count % f.batch_size
+  return data.evaluation_pairs(rows, views, count)
+
+
+def make_config(f: flags.FlagValues, dataset: Dataset, models: int) -> dict:
+  """All that a resumed run must share with the one it continues."""
+  names = ('network', 'recipe', 'category', 'batch_size', 'learning_rate', 'seed')
+  return {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
+
+
+def make_placement(batch_size: int):
+  """Functions that put a batch in equal parts, and a state whole, on as many devices as can be."""
+  count = math.gcd(batch_size, jax.device_count())
+  mesh = jax.make_mesh(
+    (count,), ('batch',), axis_types=(AxisType.Auto,), devices=jax.devices()[:count]
+  )
+  parts, whole = NamedSharding(mesh, PartitionSpec('batch')), NamedSharding(mesh, PartitionSpec())
+
+  def put_batch(batch):
+    return jax.device_put(batch, parts if len(batch.image) % count == 0 else whole)
+
+  return put_batch, lambda state: jax.device_put(state, whole)
+
+
+def fetch(window: list[dict], step: int) -> list[dict]:
+  """The metrics of the last steps as numbers.
+
+  Raises:
+    UserError: one of them is not finite.
+  """
+  window = [{k: float(v) for k, v in m.items()} for m in jax.device_get(window)]
+  for at, metrics in enumerate(window, step - len(window) + 1):
+    for name, value in metrics.items():
+      if not math.isfinite(value):
+        raise UserError(
+          f'{name} became {value} at step {at}, training stopped; the last checkpoint is from'
+          ' before. Try a smaller --learning_rate in another workdir'
+        )
+  return window
+
+
+def mean(window: list[dict]) -> dict[str, float]:
+  """The mean of each metric."""
+  return {k: float(np.mean([m[k] for m in window])) for k in window[0]}
+
+
+def draw(kind: str, state, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
+  """Views, what the network makes of them, and the truth, as one uint8 image [H, W, 3]."""
+  slots = data.surface_slots(dataset)
+  truth = [data.read_color(dataset, *p, slots=slots) for p in pairs]
+  images = np.stack([t.image for t in truth])
+  variables = {'params': state.params, 'batch_stats': state.batch_stats}
+  if kind == 'shape':
+    predicted = np.asarray(reconstruct.estimate_shape(variables, images))
+  else:
+    predicted = np.asarray(reconstruct.estimate_color(variables, images).blended)
+  lines = []
+  for t, p, (_, view) in zip(truth, predicted, pairs, strict=True):
+    right = to_voxels(t)
+    if kind == 'shape':
+      made = right._replace(
+        occupancy=p >= reconstruct.OCCUPIED, color=np.full_like(right.color, 0.7)
+      )
+    else:
+      made = right._replace(color=p)
+    azimuth = dataset.manifest.azimuths[view]
+    drawn = [figures.draw_voxels(v, azimuth) for v in (made, right)]
+    lines.append([figures.to_uint8(t.image), *drawn])
+  return figures.grid_of_images(lines, column_titles=('view', 'network', 'truth'))
+
+
+def to_voxels(element: data.Batch) -> grid.ColoredVoxels:
+  """An element's sparse surface as a volume."""
+  real = element.index[:, 0] != grid.PADDING_INDEX
+  at = tuple(element.index[real].T)
+  shape = (grid.GRID_SIZE,) * 3
+  voxels = grid.ColoredVoxels(np.zeros(shape, bool), np.zeros((*shape, 3), np.float32))
+  voxels.occupancy[at] = True
+  voxels.color[at] = element.color[real]
+  return voxels
+
+
+@contextlib.contextmanager
+def catch_signals():
+  """Yields a list that SIGINT and SIGTERM append to; a second one ends the program as usual."""
+  caught = []
+
+  def note(number, _):
+    caught.append(number)
+    signal.signal(number, before[number])
+
+  before = {n: signal.signal(n, note) for n in (signal.SIGINT, signal.SIGTERM)}
+  try:
+    yield caught
+  finally:
+    for number, handler in before.items():
+      signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def out_of_memory_is_a_user_error():
+  try:
+    yield
+  except jax.errors.JaxRuntimeError as e:
+    if 'RESOURCE_EXHAUSTED' not in str(e):
+      raise
+    raise UserError('the device has too little memory: take a smaller --batch_size') from e
+
+
+if __name__ == '__main__':
+  define_flags(flags.FLAGS)
+  errors.run(main)

@@ -1,0 +1,412 @@
+"""The training program, with networks of a few numbers in place of the real ones."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+import synthetic
+from absl import flags
+
+from cvn import checkpoint, data, grid
+from cvn.errors import UserError
+from experiments import train as program
+
+DRAW = program.draw
+
+
+class TrainState(NamedTuple):
+  params: Any
+  batch_stats: Any
+  opt_state: Any
+  step: Any
+
+
+def create_state(key, kind, recipe, *, learning_rate=None):
+  del kind, recipe
+  params = {'w': jax.random.normal(key, (3,))}
+  opt_state = optax.adam(learning_rate or 3e-4).init(params)
+  return TrainState(params, {'mean': jnp.zeros(3)}, opt_state, jnp.int32(0))
+
+
+def loss_of(params, batch):
+  """Depends on which models and views are in the batch."""
+  pixel = batch.image.mean((1, 2))
+  count = (batch.index[..., 0] != grid.PADDING_INDEX).sum(1)
+  return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
+
+
+def make_step(kind, recipe, *, learning_rate=None):
+  del kind, recipe
+  optimizer = optax.adam(learning_rate or 3e-4)
+
+  @jax.jit
+  def step(state, batch):
+    loss, gradient = jax.value_and_grad(loss_of)(state.params, batch)
+    update, opt_state = optimizer.update(gradient, state.opt_state)
+    params = optax.apply_updates(state.params, update)
+    mean = 0.9 * state.batch_stats['mean'] + 0.1 * batch.image.mean((0, 1, 2))
+    return TrainState(params, {'mean': mean}, opt_state, state.step + 1), {'loss': loss}
+
+  return step
+
+
+def make_eval(kind, recipe):
+  del recipe
+  extra = {'iou': jnp.float32(0.5)} if kind == 'shape' else {}
+  return jax.jit(lambda state, batch: {'loss': loss_of(state.params, batch), **extra})
+
+
+@pytest.fixture(autouse=True)
+def small_networks(monkeypatch):
+  for f in (create_state, make_step, make_eval):
+    monkeypatch.setattr(program.train, f.__name__, f)
+  monkeypatch.setattr(program, 'draw', lambda *_: np.zeros((8, 8, 3), np.uint8))
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+  """Four models to train on, one each to validate and to test."""
+  root = tmp_path_factory.mktemp('data') / 'set'
+  synthetic.make_dataset(root, 6, azimuths=(0, 90))
+  return root
+
+
+def parse(*arguments):
+  values = flags.FlagValues()
+  program.define_flags(values)
+  values(['train', *arguments])
+  return values
+
+
+def run(made, workdir, *arguments, network='shape', epochs=2):
+  return program.run(
+    parse(
+      f'--network={network}',
+      f'--data={made}',
+      f'--workdir={workdir}',
+      f'--epochs={epochs}',
+      '--batch_size=2',
+      '--validate_every=1',
+      '--log_every=3',
+      *arguments,
+    )
+  )
+
+
+def log_of(workdir):
+  return [json.loads(line) for line in (workdir / 'log.jsonl').read_text().splitlines()]
+
+
+def arrays_of(workdir):
+  """The newest checkpoint, all of it."""
+  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), '', None))
+  return checkpoint.restore(str(workdir), template)
+
+
+def interrupt_at(monkeypatch, step, number=signal.SIGTERM):
+  """The signal arrives while this step is computed."""
+
+  def make(*args, **kwargs):
+    inner = make_step(*args, **kwargs)
+
+    def outer(state, batch):
+      if int(state.step) == step - 1:
+        os.kill(os.getpid(), number)
+      return inner(state, batch)
+
+    return outer
+
+  monkeypatch.setattr(program.train, 'make_step', make)
+
+
+@pytest.mark.parametrize('network', ['shape', 'color'])
+def test_trains(made, tmp_path, network):
+  assert run(made, tmp_path / 'run', network=network) == 0
+  log = log_of(tmp_path / 'run')
+  # Two steps an epoch; a line each 3 steps and at the end of an epoch, then the validation.
+  assert [(line['step'], 'validation' in line) for line in log] == [
+    (2, False),
+    (2, True),
+    (3, False),
+    (4, False),
+    (4, True),
+  ]
+  assert [line['epoch'] for line in log] == [1, 1, 1.5, 2, 2]
+  assert set(log[1]['validation']) == ({'loss', 'iou'} if network == 'shape' else {'loss'})
+  config, variables = checkpoint.load_network(str(tmp_path / 'run'), network)
+  assert (config['batch_size'], config['models'], config['learning_rate']) == (2, 4, None)
+  assert variables['params']['w'].shape == (3,)
+  assert os.listdir(tmp_path / 'run' / 'tensorboard')
+
+
+def test_a_line_is_the_mean_since_the_line_before(made, tmp_path):
+  run(made, tmp_path / 'a', '--log_every=1')
+  run(made, tmp_path / 'b', '--log_every=100')
+  each = [line['loss'] for line in log_of(tmp_path / 'a') if 'loss' in line]
+  means = [line['loss'] for line in log_of(tmp_path / 'b') if 'loss' in line]
+  assert means == [np.mean(each[:2]), np.mean(each[2:])]
+
+
+def test_seed_decides(made, tmp_path):
+  for name, seed in (('a', 0), ('b', 0), ('c', 1)):
+    run(made, tmp_path / name, f'--seed={seed}')
+  a, b, c = ((tmp_path / name / 'log.jsonl').read_bytes() for name in 'abc')
+  assert a == b != c
+
+
+@pytest.mark.parametrize('at', [1, 2, 3])
+def test_resumed_equals_uninterrupted(made, tmp_path, monkeypatch, at):
+  run(made, tmp_path / 'whole')
+  with monkeypatch.context() as m:
+    interrupt_at(m, at)
+    assert run(made, tmp_path / 'parts') == 128 + signal.SIGTERM
+  assert checkpoint.latest_step(str(tmp_path / 'parts')) == at
+  assert run(made, tmp_path / 'parts') == 0
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+  expected, progress = arrays_of(tmp_path / 'whole')
+  got, got_progress = arrays_of(tmp_path / 'parts')
+  jax.tree.map(np.testing.assert_array_equal, got, expected)
+  assert got_progress == progress
+
+
+def test_resumed_after_a_crash_between_checkpoints(made, tmp_path, monkeypatch):
+  """Lines past the last checkpoint are told again, not twice."""
+  run(made, tmp_path / 'whole', '--checkpoint_every=0')
+  saved = checkpoint.save
+
+  def save_until_2(workdir, state, progress):
+    if int(state.step) > 2:
+      raise RuntimeError('crash')
+    saved(workdir, state, progress)
+
+  with monkeypatch.context() as m:
+    m.setattr(checkpoint, 'save', save_until_2)
+    with pytest.raises(RuntimeError):
+      run(made, tmp_path / 'parts', '--checkpoint_every=0')
+  assert log_of(tmp_path / 'parts')[-1]['step'] == 3
+  run(made, tmp_path / 'parts', '--checkpoint_every=0')
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+
+
+def test_more_epochs_go_on(made, tmp_path, capsys):
+  run(made, tmp_path / 'whole', epochs=3)
+  run(made, tmp_path / 'parts', epochs=1)
+  run(made, tmp_path / 'parts', epochs=3)
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+  capsys.readouterr()
+  before = parts.read_bytes()
+  assert run(made, tmp_path / 'parts', epochs=3) == 0
+  assert 'is trained for 3 epochs: raise --epochs' in capsys.readouterr().out
+  assert parts.read_bytes() == before
+
+
+def test_interrupt_says_how_to_go_on_and_gives_the_handlers_back(
+  made, tmp_path, monkeypatch, capsys
+):
+  before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+  interrupt_at(monkeypatch, 1, signal.SIGINT)
+  assert run(made, tmp_path / 'run') == 128 + signal.SIGINT
+  assert 'the same command goes on from here' in capsys.readouterr().err
+  assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_second_interrupt_ends_at_once(made, tmp_path, monkeypatch):
+  def impatient(*args, **kwargs):
+    signal.raise_signal(signal.SIGINT)
+
+  interrupt_at(monkeypatch, 1, signal.SIGINT)
+  monkeypatch.setattr(checkpoint, 'save', impatient)
+  with pytest.raises(KeyboardInterrupt):
+    run(made, tmp_path / 'run')
+
+
+def test_empty_validation_split_is_said(tmp_path, capsys):
+  root = tmp_path / 'set'
+  synthetic.make_dataset(root, 2, splits=('train',), azimuths=(0,))
+  assert run(root, tmp_path / 'run', epochs=1) == 0
+  assert 'no finished model in the split val' in capsys.readouterr().err
+  assert not any('validation' in line for line in log_of(tmp_path / 'run'))
+
+
+def test_nan_stops_and_is_not_saved(made, tmp_path, monkeypatch):
+  def make(*args, **kwargs):
+    inner = make_step(*args, **kwargs)
+
+    def outer(state, batch):
+      state, metrics = inner(state, batch)
+      return state, jax.tree.map(lambda x: jnp.where(state.step < 3, x, jnp.nan), metrics)
+
+    return outer
+
+  monkeypatch.setattr(program.train, 'make_step', make)
+  with pytest.raises(UserError, match='loss became nan at step 3'):
+    run(made, tmp_path / 'run', '--checkpoint_every=0')
+  assert checkpoint.latest_step(str(tmp_path / 'run')) == 2
+
+
+@pytest.mark.parametrize(
+  ('changed', 'name'),
+  [('--batch_size=4', 'batch_size'), ('--recipe=release', 'recipe'), ('--seed=3', 'seed')],
+)
+def test_another_setting_is_refused(made, tmp_path, changed, name):
+  run(made, tmp_path / 'run', epochs=1)
+  with pytest.raises(UserError, match=f'was begun with {name}='):
+    run(made, tmp_path / 'run', changed)
+
+
+def test_the_other_network_in_the_workdir_is_refused(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=1)
+  with pytest.raises(UserError, match='was begun with network=shape, not color'):
+    run(made, tmp_path / 'run', network='color')
+
+
+def test_too_few_models(made, tmp_path):
+  with pytest.raises(UserError, match='4 finished training models, too few for a batch of 60'):
+    run(made, tmp_path / 'run', '--batch_size=60')
+  assert not (tmp_path / 'run').exists()
+
+
+def test_data_of_another_size(tmp_path):
+  synthetic.make_dataset(tmp_path / 'set', 1, azimuths=(0,), image_size=64, grid_size=32)
+  with pytest.raises(UserError, match='has 64-pixel views and a grid of 32'):
+    run(tmp_path / 'set', tmp_path / 'run')
+
+
+def test_unknown_category(made, tmp_path):
+  with pytest.raises(UserError, match="no category 'cube'; it has ball"):
+    run(made, tmp_path / 'run', '--category=cube')
+
+
+def test_out_of_memory(made, tmp_path, monkeypatch):
+  def make(*args, **kwargs):
+    def step(state, batch):
+      raise jax.errors.JaxRuntimeError('RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes')
+
+    return step
+
+  monkeypatch.setattr(program.train, 'make_step', make)
+  with pytest.raises(UserError, match='too little memory: take a smaller --batch_size'):
+    run(made, tmp_path / 'run')
+
+
+@pytest.mark.parametrize(
+  'bad',
+  [
+    '--network=both',
+    '--recipe=mine',
+    '--epochs=0',
+    '--batch_size=0',
+    '--batch_size=x',
+    '--learning_rate=-1',
+    '--learning_rate=nan',
+    '--seed=-1',
+    '--checkpoint_every=-1',
+  ],
+)
+def test_bad_flags(bad):
+  with pytest.raises(flags.Error, match=bad[2:].split('=')[0]):
+    parse('--network=shape', '--data=a', '--workdir=b', bad)
+
+
+@pytest.mark.parametrize('missing', ['network', 'data', 'workdir'])
+def test_required_flags(missing):
+  given = {'network': 'shape', 'data': 'a', 'workdir': 'b'}
+  with pytest.raises(flags.Error, match=missing):
+    parse(*(f'--{k}={v}' for k, v in given.items() if k != missing))
+
+
+def test_validation_is_whole_batches_where_it_can_be(made):
+  dataset = program.open_dataset(str(made))
+
+  def count(*arguments):
+    f = parse('--network=shape', '--data=a', '--workdir=b', *arguments)
+    return len(program.select_validation(f, dataset))
+
+  assert count('--batch_size=2') == 2
+  assert count('--batch_size=60') == 2
+  assert count('--batch_size=2', '--validation_views=1') == 1
+
+
+@pytest.mark.parametrize(('batch_size', 'devices'), [(60, 4), (6, 2), (7, 1)])
+def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices):
+  put_batch, put_state = program.make_placement(batch_size)
+  batch = data.ShapeBatch(np.zeros((batch_size, 2, 2, 3)), np.zeros((batch_size, 5, 3), int))
+  placed = put_batch(batch)
+  assert len(placed.image.devices()) == devices
+  assert placed.image.addressable_shards[0].data.shape == (batch_size // devices, 2, 2, 3)
+  assert put_state(jnp.zeros(3)).sharding.is_fully_replicated
+  if devices > 1:
+    rest = put_batch(jax.tree.map(lambda x: x[:1], batch))
+    assert rest.image.sharding.is_fully_replicated
+
+
+def test_mean_over_devices_is_the_mean_on_one(made, tmp_path, monkeypatch):
+  run(made, tmp_path / 'two')
+  monkeypatch.setattr(program.jax, 'device_count', lambda: 1)
+  run(made, tmp_path / 'one')
+  two, one = (
+    [line['loss'] for line in log_of(tmp_path / name) if 'loss' in line] for name in ('two', 'one')
+  )
+  np.testing.assert_allclose(two, one, rtol=1e-6)
+
+
+@pytest.mark.parametrize('kind', ['shape', 'color'])
+def test_pictures_of_a_perfect_network_show_the_truth(made, monkeypatch, kind):
+  dataset = program.open_dataset(str(made))
+  pairs = data.evaluation_pairs([0, 4], 2)[1:3]
+  slots = data.surface_slots(dataset)
+  truth = [program.to_voxels(data.read_color(dataset, *p, slots=slots)) for p in pairs]
+  perfect = program.reconstruct.ColorEstimate(*[None] * 4, np.stack([t.color for t in truth]))
+  monkeypatch.setattr(program.reconstruct, 'estimate_color', lambda *_: perfect)
+  probability = np.stack([t.occupancy for t in truth]).astype(np.float32)
+  monkeypatch.setattr(program.reconstruct, 'estimate_shape', lambda *_: probability)
+  rows = []
+  monkeypatch.setattr(program.figures, 'grid_of_images', lambda r, **_: rows.extend(r))
+  DRAW(kind, create_state(jax.random.key(0), kind, None), dataset, pairs)
+  for (view, network, right), (row, azimuth) in zip(rows, pairs, strict=True):
+    record = program.open_dataset(str(made)).arrays['views'][row, azimuth].read().result()
+    np.testing.assert_array_equal(view, np.round(data.composite(record) * 255))
+    if kind == 'color':
+      np.testing.assert_array_equal(network, right)
+    else:
+      background = right[0, 0]
+      np.testing.assert_array_equal((network != background).any(-1), (right != background).any(-1))
+
+
+def test_voxels_of_an_element():
+  index = np.array([[1, 2, 3], [4, 5, 6], [grid.PADDING_INDEX] * 3])
+  color = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0, 0, 0]])
+  voxels = program.to_voxels(data.Batch(None, index, color, None))
+  np.testing.assert_array_equal(np.argwhere(voxels.occupancy), index[:2])
+  np.testing.assert_allclose(voxels.color[4, 5, 6], color[1], rtol=1e-6)
+  assert voxels.color.sum() == pytest.approx(color.sum())
+
+
+def test_program_prints_one_line(tmp_path):
+  done = subprocess.run(
+    [
+      sys.executable,
+      '-m',
+      'experiments.train',
+      '--network=shape',
+      f'--data={tmp_path}',
+      f'--workdir={tmp_path}/run',
+    ],
+    capture_output=True,
+    text=True,
+    check=False,
+  )
+  assert done.returncode == 1
+  assert re.fullmatch(r'error: .* is no data set: .*\n', done.stderr)
