@@ -5,28 +5,41 @@ batch variance). In training the collection `batch_stats` that `apply` returns h
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
 """
 
-from collections.abc import Callable
-
 import jax
+import jax.numpy as jnp
 from flax import linen as nn
 from jax import lax
 
 from cvn import deconv
+from cvn.normalization import ELU, IDENTITY, Activation, affine, normalize
 
-EPSILON = 1e-3
 _glorot = nn.initializers.glorot_uniform()
 
 
-def identity(x: jax.Array) -> jax.Array:
-  """No activation."""
-  return x
+class Norm(nn.Module):
+  """Batch normalisation over all axes but the last, then the activation."""
+
+  activation: Activation
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    shape = x.shape[-1:]
+    scale = self.param('scale', nn.initializers.ones, shape)
+    offset = self.param('bias', nn.initializers.zeros, shape)
+    mean = self.variable('batch_stats', 'mean', jnp.zeros, shape)
+    variance = self.variable('batch_stats', 'var', jnp.ones, shape)
+    if not train:
+      return affine(x, mean.value, variance.value, scale, offset, self.activation)
+    y, batch_mean, batch_variance = normalize(x, scale, offset, self.activation)
+    if not self.is_initializing():
+      mean.value, variance.value = batch_mean, batch_variance
+    return y
 
 
 def _finish(module: nn.Module, x, activation, train):
-  """Bias, batch normalisation over all axes but the last, activation, in `module`'s scope."""
+  """Bias, normalisation and activation, in `module`'s scope."""
   bias = module.param('bias', nn.initializers.zeros, (x.shape[-1],))
-  norm = nn.BatchNorm(use_running_average=not train, momentum=0.0, epsilon=EPSILON, name='norm')
-  return activation(norm(x + bias.reshape((1,) * (x.ndim - 1) + (-1,))))
+  return Norm(activation, name='norm')(x + bias.reshape((1,) * (x.ndim - 1) + (-1,)), train)
 
 
 class Dense(nn.Module):
@@ -37,7 +50,7 @@ class Dense(nn.Module):
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (x.shape[-1], self.features))
-    return _finish(self, x @ kernel, nn.elu, train)
+    return _finish(self, x @ kernel, ELU, train)
 
 
 class Conv2D(nn.Module):
@@ -54,14 +67,14 @@ class Conv2D(nn.Module):
     x = lax.conv_general_dilated(
       x, kernel, (self.stride,) * 2, self.padding, dimension_numbers=('NHWC', 'HWIO', 'NHWC')
     )
-    return _finish(self, x, nn.elu, train)
+    return _finish(self, x, ELU, train)
 
 
 class Deconv3D(nn.Module):
   """[B, X, Y, Z, in] -> twice the size, in phase layout [B, X, Y, Z, 2, 2, 2, features]."""
 
   features: int
-  activation: Callable[[jax.Array], jax.Array] = nn.elu
+  activation: Activation = ELU
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
@@ -73,7 +86,7 @@ class Conv3D(nn.Module):
   """3x3x3 convolution in phase layout: [B, X, Y, Z, 2, 2, 2, in] -> [..., features]."""
 
   features: int
-  activation: Callable[[jax.Array], jax.Array] = identity
+  activation: Activation = IDENTITY
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:

@@ -12,7 +12,8 @@ from flax import linen as nn
 from cvn.camera import IMAGE_SIZE
 from cvn.deconv import interleave
 from cvn.grid import GRID_SIZE
-from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, identity
+from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense
+from cvn.normalization import IDENTITY, SIGMOID, Activation
 
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
 DECODER = (64, 32, 32)  # channels of the deconvolutions before the heads
@@ -74,7 +75,7 @@ class Head(nn.Module):
 
   hidden: int
   features: int
-  activation: object = identity
+  activation: Activation = IDENTITY
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
@@ -87,15 +88,15 @@ class FlowHead(nn.Module):
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    return interleave(Deconv3D(2, nn.sigmoid, name='deconv')(x, train))
+    return interleave(Deconv3D(2, SIGMOID, name='deconv')(x, train))
 
 
 def _color_heads(x: jax.Array, train: bool) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
-    Head(16, 3, nn.sigmoid, name='regressed')(x, train),
+    Head(16, 3, SIGMOID, name='regressed')(x, train),
     FlowHead(name='flow')(x, train),
-    1 - Head(16, 1, nn.sigmoid, name='weight')(x, train),
+    1 - Head(16, 1, SIGMOID, name='weight')(x, train),
   )
 
 
