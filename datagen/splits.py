@@ -1,0 +1,59 @@
+"""Which split a model belongs to: by a stable hash of its id, or from lists in files."""
+
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+
+from cvn.dataset import SPLITS
+from cvn.errors import UserError
+
+FRACTIONS = (0.7, 0.1, 0.2)  # train, val, test, as in the paper
+
+
+def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
+  """The split of a model; it depends on nothing but the id.
+
+  Args:
+    model_id: any text.
+    fractions: shares of train, val and test, of sum 1.
+
+  Returns:
+    'train', 'val' or 'test'.
+  """
+  digest = hashlib.sha256(model_id.encode()).digest()
+  at = int.from_bytes(digest[:8], 'big') / 2**64
+  train, val, _ = fractions
+  return SPLITS[(at >= train) + (at >= train + val)]
+
+
+def read_splits(folder: str, category: str) -> dict[str, str]:
+  """Reads `{train,val,test}_list_<category>.txt`, one id a line, as the authors' lists are.
+
+  An id of two words, as 'clothes1 mesh2' in the lists of people, is joined by a slash, as in the
+  paths of the files it names. A split without a file is empty.
+
+  Returns:
+    id -> split.
+
+  Raises:
+    UserError: no such file, an unreadable one, or an id of two splits.
+  """
+  splits: dict[str, str] = {}
+  paths = {s: os.path.join(folder, f'{s}_list_{category}.txt') for s in SPLITS}
+  paths = {s: p for s, p in paths.items() if os.path.isfile(p)}
+  if not paths:
+    raise UserError(f'{folder} has no file {{train,val,test}}_list_{category}.txt')
+  for split, path in paths.items():
+    try:
+      with open(path, encoding='utf-8') as f:
+        lines = f.read().splitlines()
+    except (OSError, UnicodeDecodeError) as e:
+      raise UserError(f'cannot read {path}: {getattr(e, "strerror", None) or e}') from e
+    for line in lines:
+      model_id = re.sub(r'\s+', '/', line.strip())
+      if not model_id:
+        continue
+      if splits.setdefault(model_id, split) != split:
+        raise UserError(f'{path}: {model_id} is also in the {splits[model_id]} list')
+  return splits
