@@ -48,7 +48,8 @@ def open_journal(workdir: str, step: int) -> Iterator[Journal]:
   folder = os.path.join(workdir, 'tensorboard')
   with _user_errors(folder):
     os.makedirs(folder, exist_ok=True)
-    events = EventsWriter(os.path.join(folder, 'events'))
+    # tensorboardX counts in seconds, and writes over a file of the same second.
+    events = EventsWriter(os.path.join(folder, 'events'), f'.{time.time_ns()}')
     restart = event_pb2.SessionLog(status=event_pb2.SessionLog.START)
     _write_event(events, event_pb2.Event(step=step + 1, session_log=restart))
   try:
