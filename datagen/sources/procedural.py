@@ -1,6 +1,6 @@
 """The embedded source: objects built from a seed, so that everything runs without any download.
 
-Model i of a category under a seed is the same whatever the limit, the machine and the order in
+Model i of a category under a seed is the same whatever the limit and the order in
 which models are made: its generator is seeded from (seed, category, i) alone. Objects stand
 upright (y up) and face +z.
 """

@@ -68,11 +68,11 @@ def build(rng: np.random.Generator) -> list[Part]:
 
 def vary(rng, form: Form) -> Form:
   """The same type in other proportions."""
-  stretch, wide, tall = rng.uniform([0.88, 0.92, 0.92], [1.12, 1.08, 1.1])
+  stretch, wide, tall = rng.uniform([0.86, 0.9, 0.9], [1.14, 1.1, 1.14])
   lift = rng.uniform(0.9, 1.2)
-  shift = rng.uniform(-0.03, 0.03)
+  shift = rng.uniform(-0.05, 0.05)
   low, high = form.glass, form.roof
-  front, rear = low[1] + rng.uniform(-0.03, 0.03), low[0] + max(0, rng.uniform(-0.04, 0.04))
+  front, rear = low[1] + rng.uniform(-0.05, 0.05), low[0] + max(0, rng.uniform(-0.06, 0.06))
   return form._replace(
     length=form.length * stretch,
     width=form.width * wide,

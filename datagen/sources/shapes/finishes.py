@@ -23,19 +23,19 @@ def _grid():
 
 
 def choose(rng, colors: mt.Scheme, *, acoustic: bool) -> Look:
-  """Bare wood for most acoustics; bursts, lacquer and patterns for most electrics."""
+  """Bare wood, a burst, lacquer or a pattern: wood more on acoustics, patterns on electrics."""
   base, second, accent = colors.main, colors.second, colors.accent
-  top = mt.hsv(rng.uniform(0.05, 0.12), rng.uniform(0.35, 0.7), rng.uniform(0.55, 0.88))
-  kind = rng.uniform() + (0.0 if acoustic else 0.35)
+  top = mt.hsv(rng.uniform(0.02, 0.13), rng.uniform(0.35, 0.8), rng.uniform(0.35, 0.88))
+  kind = rng.uniform() + (0.0 if acoustic else 0.3)
   side = mt.plain(base)
-  if kind < 0.45:
+  if kind < 0.34:
     front = mt.wood(rng, top, period=0.3)
-    side = mt.plain(mt.shade(colors.wood, 0.8))
-  elif kind < 0.75:
+    side = mt.plain(mt.shade(colors.wood if rng.uniform() < 0.7 else base, 0.8))
+  elif kind < 0.62:
     edge = mt.shade(base if rng.uniform() < 0.5 else colors.wood, 0.4)
     front = burst(rng, edge, top if rng.uniform() < 0.5 else accent)
     side = mt.plain(edge)
-  elif kind < 1.0:
+  elif kind < 0.86:
     front = mt.plain(base)
   else:
     front = decorated(rng, base, second, accent)

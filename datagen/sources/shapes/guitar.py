@@ -65,8 +65,8 @@ def shape(rng, kind) -> Form:
       0.5,
       0.4,
       0.11,
-      rng.uniform(0.58, 0.82),
-      rng.uniform(0.68, 0.86),
+      rng.uniform(0.55, 0.88),
+      rng.uniform(0.62, 0.92),
       rng.uniform(2.2, 3.6),
       0.36,
       0.0,
@@ -94,7 +94,7 @@ def shape(rng, kind) -> Form:
       long,
       rng.choice([0.0, rng.uniform(-0.05, 0.05)]),
     )
-  stretch = rng.uniform(0.88, 1.14, 4)
+  stretch = rng.uniform(0.82, 1.2, 4)
   return form._replace(
     length=form.length * stretch[0],
     width=form.width * stretch[1],
