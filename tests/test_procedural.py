@@ -134,7 +134,7 @@ def test_car_lamps_are_pale_in_front_and_red_behind(surfaces):
   assert np.mean(ends) > 0.9
 
 
-def test_tables_have_their_top_on_top(surfaces):
+def test_tables_have_their_top_on_top():
   """Most of the area that looks up or down lies in the upper half."""
   for mesh in _meshes('table', 40):
     mesh = normalize(mesh)

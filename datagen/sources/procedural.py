@@ -1,8 +1,8 @@
 """The embedded source: objects built from a seed, so that everything runs without any download.
 
-Model i of a category under a seed is the same whatever the limit and the order in
-which models are made: its generator is seeded from (seed, category, i) alone. Objects stand
-upright (y up) and face +z.
+Model i of a category under a seed is the same whatever the limit and the order in which models are
+made: its generator is seeded from (seed, category, i) alone. Objects stand upright (y up) and face
++z.
 """
 
 import importlib

@@ -181,7 +181,7 @@ def cockpit(rng, form: Form, colors) -> list[Part]:
   rear, front = np.array(form.glass) * form.length
   w = 0.4 * form.width
   dark = mt.plain(mt.shade(colors.second, 0.3))
-  well = solids.box((2 * w, 0.04, front - rear), (0, form.belt - 0.0, 0.5 * (front + rear)))
+  well = solids.box((2 * w, 0.04, front - rear), (0, form.belt, 0.5 * (front + rear)))
   seat = mt.plain(colors.accent)
   x, z = 0.5 * w, rear + 0.35
   cushion = solids.pillow(solids.ellipse(0.5, 0.55, power=5), form.belt - 0.1, form.belt + 0.06)

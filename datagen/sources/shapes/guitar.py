@@ -293,7 +293,7 @@ def head(rng, nut, front, look, strings, colors, wood) -> list[Part]:
       knob = solids.ellipsoid((0.016, 0.011, 0.008), (s * (wide * 1.2 + 0.012), y, 0), sides=8)
       stem = solids.bar([s * 0.6 * wide, y, 0], [s * (1.2 * wide + 0.01), y, 0], 0.006, sides=6)
       parts += [paint(knob, peg), paint(stem, peg)]
-  parts = [move(turn(p, 0, -rng.choice([8.0])), [0, nut - 0.005, front - 0.004]) for p in parts]
+  parts = [move(turn(p, 0, -8), [0, nut - 0.005, front - 0.004]) for p in parts]
   ivory = mt.plain([0.86, 0.83, 0.75])
   parts.append(paint(solids.box((0.05, 0.008, 0.02), (0, nut, front + 0.01)), ivory))
   return parts

@@ -7,7 +7,7 @@ from datagen.sources.shapes.parts import Part, mirror, move, paint, turn
 
 
 def under_seat(rng, width, depth, height, frame, board) -> list[Part]:
-  """Legs of a framed chair, from the floor to `height`, in one of eight styles."""
+  """Legs of a framed chair, from the floor to `height`, in one of seven styles."""
   style = rng.choice(
     ['four', 'sled', 'rockers', 'crossed', 'planks', 'column', 'hairpin'],
     p=[0.62, 0.08, 0.07, 0.06, 0.06, 0.06, 0.05],
