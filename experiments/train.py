@@ -65,9 +65,7 @@ def run(f: flags.FlagValues) -> int:
   checkpoint.start(f.workdir, make_config(f, dataset, len(rows)))
 
   put_batch, put_state = make_placement(f.batch_size)
-  state = put_state(
-    train.create_state(jax.random.key(f.seed), f.network, recipe, learning_rate=f.learning_rate)
-  )
+  state = put_state(train.create_state(jax.random.key(f.seed), f.network))
   train_step = train.make_step(f.network, recipe, learning_rate=f.learning_rate)
   evaluate = train.make_eval(f.network, recipe)
 

@@ -30,11 +30,10 @@ class TrainState(NamedTuple):
   step: Any
 
 
-def create_state(key, kind, recipe, *, learning_rate=None):
-  del kind, recipe
+def create_state(key, kind):
+  del kind
   params = {'w': jax.random.normal(key, (3,))}
-  opt_state = optax.adam(learning_rate or 3e-4).init(params)
-  return TrainState(params, {'mean': jnp.zeros(3)}, opt_state, jnp.int32(0))
+  return TrainState(params, {'mean': jnp.zeros(3)}, optax.adam(1.0).init(params), jnp.int32(0))
 
 
 def loss_of(params, batch):
@@ -66,7 +65,9 @@ def make_eval(kind, recipe):
 
 
 @pytest.fixture(autouse=True)
-def small_networks(monkeypatch):
+def small_networks(request, monkeypatch):
+  if request.node.get_closest_marker('slow'):
+    return
   for f in (create_state, make_step, make_eval):
     monkeypatch.setattr(program.train, f.__name__, f)
   monkeypatch.setattr(program, 'draw', lambda *_: np.zeros((8, 8, 3), np.uint8))
@@ -108,7 +109,7 @@ def log_of(workdir):
 
 def arrays_of(workdir):
   """The newest checkpoint, all of it."""
-  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), '', None))
+  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), ''))
   return checkpoint.restore(str(workdir), template)
 
 
@@ -374,7 +375,7 @@ def test_pictures_of_a_perfect_network_show_the_truth(made, monkeypatch, kind):
   monkeypatch.setattr(program.reconstruct, 'estimate_shape', lambda *_: probability)
   rows = []
   monkeypatch.setattr(program.figures, 'grid_of_images', lambda r, **_: rows.extend(r))
-  DRAW(kind, create_state(jax.random.key(0), kind, None), dataset, pairs)
+  DRAW(kind, create_state(jax.random.key(0), kind), dataset, pairs)
   for (view, network, right), (row, azimuth) in zip(rows, pairs, strict=True):
     record = program.open_dataset(str(made)).arrays['views'][row, azimuth].read().result()
     np.testing.assert_array_equal(view, np.round(data.composite(record) * 255))
@@ -410,3 +411,19 @@ def test_program_prints_one_line(tmp_path):
   )
   assert done.returncode == 1
   assert re.fullmatch(r'error: .* is no data set: .*\n', done.stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('network', ['shape', 'color'])
+@pytest.mark.parametrize('recipe', ['paper', 'release'])
+def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe):
+  """Four steps, and two and two, with validation and pictures."""
+  flag = f'--recipe={recipe}'
+  run(made, tmp_path / 'whole', flag, network=network, epochs=2)
+  run(made, tmp_path / 'parts', flag, network=network, epochs=1)
+  run(made, tmp_path / 'parts', flag, network=network, epochs=2)
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+  _, expected = checkpoint.load_network(str(tmp_path / 'whole'), network)
+  _, got = checkpoint.load_network(str(tmp_path / 'parts'), network)
+  jax.tree.map(np.testing.assert_array_equal, got, expected)
