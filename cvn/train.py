@@ -1,0 +1,131 @@
+"""Training: the state, and one compiled step for each network.
+
+`kind` is 'shape' (image to occupancy, MSFCEL) or 'color' (image to colours, flow and weights). A
+batch is a `data.ShapeBatch` or a `data.Batch`; losses look at surface voxels, whose indices
+[B, S, 3] are padded with PADDING_INDEX. All that a step needs comes in, all that it changes goes
+out.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from cvn import blending, losses, metrics
+from cvn.networks import ColorNetwork, ShapeNetwork
+from cvn.recipe import Recipe
+
+OCCUPIED = 0.8  # a voxel counts as occupied above this probability, in the authors' IoU
+NETWORKS = {'shape': ShapeNetwork(), 'color': ColorNetwork()}
+
+_ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-8)
+
+
+class TrainState(NamedTuple):
+  """All that changes from step to step."""
+
+  params: Any
+  batch_stats: Any  # running BatchNorm statistics
+  opt_state: Any  # Adam's moments
+  step: jax.Array  # [] int32, steps taken
+
+
+def create_state(key: jax.Array, kind: str) -> TrainState:
+  """The state before the first step: Glorot-uniform kernels, zero biases.
+
+  Args:
+    key: of the parameters.
+    kind: 'shape' or 'color'.
+  """
+  network = NETWORKS[kind]
+  image = jnp.zeros((1, network.image_size, network.image_size, 3))
+  variables = jax.jit(lambda k: network.init(k, image, train=False))(key)
+  params = variables['params']
+  return TrainState(params, variables['batch_stats'], _ADAM.init(params), jnp.zeros((), jnp.int32))
+
+
+def make_step(
+  kind: str, recipe: Recipe, *, learning_rate: float | None = None
+) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
+  """One optimisation step, compiled; the state that goes in is donated.
+
+  Args:
+    kind: 'shape' or 'color'.
+    recipe: loss, schedules, penalty.
+    learning_rate: a constant one, instead of the recipe's.
+
+  Returns:
+    step(state, batch) -> (state, metrics): scalars, the loss before the step among them.
+  """
+
+  def step(state, batch):
+    samples = (state.step * len(batch.image)).astype(jnp.float32)
+    rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
+    decay = recipe.norm_decay(samples)
+    (_, (found, batch_stats)), gradient = jax.value_and_grad(_objective, has_aux=True)(
+      state.params, state.batch_stats, batch, kind, recipe, True
+    )
+    update, opt_state = _ADAM.update(gradient, state.opt_state)
+    params = jax.tree.map(lambda p, u: p - rate * u, state.params, update)
+    running = jax.tree.map(
+      lambda old, new: decay * old + (1 - decay) * new, state.batch_stats, batch_stats
+    )
+    return TrainState(params, running, opt_state, state.step + 1), found
+
+  return jax.jit(step, donate_argnums=0)
+
+
+def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str, jax.Array]]:
+  """The metrics of a batch with running statistics, compiled: the loss, and for shapes the IoU."""
+
+  def evaluate(state, batch):
+    _, (found, _) = _objective(state.params, state.batch_stats, batch, kind, recipe, False)
+    return found
+
+  return jax.jit(evaluate)
+
+
+def _objective(params, batch_stats, batch, kind, recipe, train):
+  """(loss, (metrics, batch statistics))."""
+  volumes, mutated = NETWORKS[kind].apply(
+    {'params': params, 'batch_stats': batch_stats}, batch.image, train=train, mutable='batch_stats'
+  )
+  loss, found = (_shape_loss if kind == 'shape' else _color_loss)(volumes, batch, recipe, train)
+  if recipe.kernel_penalty:
+    loss = loss + recipe.kernel_penalty * _kernel_sum(params)
+  return loss, ({'loss': loss, **found}, mutated['batch_stats'])
+
+
+def _shape_loss(logits, batch, recipe, train):
+  del recipe  # both recipes train the shape network alike
+  logits = logits[..., 0]
+  occupancy = jax.vmap(
+    lambda i: jnp.zeros(logits.shape[1:], bool).at[tuple(i.T)].set(True, mode='drop')
+  )(batch.index)
+  loss = losses.msfcel(logits, occupancy)
+  if train:
+    return loss, {}
+  return loss, {'iou': jnp.mean(metrics.iou(jax.nn.sigmoid(logits) > OCCUPIED, occupancy))}
+
+
+def _color_loss(volumes, batch, recipe, train):
+  del train
+  # One gather for the three volumes; what it leaves out gets no gradient.
+  stacked = jnp.concatenate(volumes, axis=-1)
+  mask = batch.index[..., 0] < stacked.shape[1]
+  at_surface = jax.vmap(lambda v, i: v.at[tuple(i.T)].get(mode='fill', fill_value=0))(
+    stacked, batch.index
+  )
+  regressed, flow, weight = jnp.split(at_surface, (3, 5), axis=-1)
+  blended = blending.blend(recipe.sample(batch.image, flow), regressed, weight)
+  loss, terms = losses.color_objective(
+    regressed, blended, flow, batch.color, batch.flow, mask, distance=recipe.surface_distance
+  )
+  return loss, terms._asdict()
+
+
+def _kernel_sum(params):
+  leaves = jax.tree_util.tree_leaves_with_path(params)
+  return sum(jnp.sum(jnp.abs(x)) for path, x in leaves if path[-1].key == 'kernel')

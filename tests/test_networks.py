@@ -1,0 +1,67 @@
+"""The networks: parameters, shapes, ranges, and what `train` changes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cvn.networks import AdaptedR2N2, ColorNetwork, ColorVolumes, JointNetwork, ShapeNetwork
+
+SMALL = {'image_size': 64, 'grid_size': 32}
+
+
+def parameter_count(network):
+  shapes = jax.eval_shape(
+    lambda: network.init(jax.random.key(0), jnp.zeros((1, 128, 128, 3)), train=False)
+  )
+  return sum(x.size for x in jax.tree.leaves(shapes['params']))
+
+
+def test_shape_network_has_the_published_number_of_parameters():
+  # The authors' program, counting biases, gamma and beta.
+  assert parameter_count(ShapeNetwork()) == 7_668_115
+
+
+@pytest.mark.parametrize('network', [ColorNetwork(), JointNetwork(), AdaptedR2N2()])
+def test_about_seven_million_parameters(network):
+  assert 7e6 < parameter_count(network) < 8e6
+
+
+@pytest.mark.parametrize('network', [ShapeNetwork, ColorNetwork, JointNetwork, AdaptedR2N2])
+def test_outputs(network):
+  network = network(**SMALL)
+  image = jax.random.uniform(jax.random.key(1), (2, 64, 64, 3))
+  variables = network.init(jax.random.key(0), image, train=False)
+  out, mutated = jax.jit(lambda v, x: network.apply(v, x, train=True, mutable='batch_stats'))(
+    variables, image
+  )
+  channels = {
+    ShapeNetwork: 1,
+    ColorNetwork: ColorVolumes(3, 2, 1),
+    JointNetwork: (1, ColorVolumes(3, 2, 1)),
+    AdaptedR2N2: 3,
+  }[type(network)]
+  assert jax.tree.map(lambda x: x.shape, out) == jax.tree.map(
+    lambda c: (2, 32, 32, 32, c), channels
+  )
+  assert all(np.isfinite(x).all() for x in jax.tree.leaves(out))
+  volumes = out[1] if isinstance(network, JointNetwork) else out
+  if isinstance(volumes, ColorVolumes):
+    assert all(x.min() >= 0 and x.max() <= 1 for x in volumes)
+  # Training returns this batch's statistics, whatever the running ones were.
+  before, after = jax.tree.leaves(variables['batch_stats']), jax.tree.leaves(mutated['batch_stats'])
+  assert any(not np.allclose(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_evaluation_treats_every_image_alone():
+  network = ShapeNetwork(**SMALL)
+  image = jax.random.uniform(jax.random.key(1), (3, 64, 64, 3))
+  variables = network.init(jax.random.key(0), image, train=False)
+  together = network.apply(variables, image, train=False)
+  alone = network.apply(variables, image[1:2], train=False)
+  np.testing.assert_allclose(together[1:2], alone, rtol=1e-4, atol=1e-5)
+
+
+def test_wrong_image_size_is_refused():
+  with pytest.raises(ValueError, match='128, 128, 3'):
+    ShapeNetwork().init(jax.random.key(0), jnp.zeros((1, 64, 64, 3)), train=False)

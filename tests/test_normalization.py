@@ -1,0 +1,74 @@
+"""Batch normalisation's own derivative against the one that JAX derives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from cvn import normalization
+from cvn.normalization import ELU, EPSILON, IDENTITY, SIGMOID
+
+PLAIN = {ELU: jax.nn.elu, SIGMOID: jax.nn.sigmoid, IDENTITY: lambda x: x}
+
+
+def plain(x, scale, offset, activation):
+  """As the text books write it."""
+  axes = tuple(range(x.ndim - 1))
+  mean, variance = x.mean(axes, keepdims=True), x.var(axes, keepdims=True)
+  spread = (1,) * (x.ndim - 1) + (-1,)
+  z = (x - mean) / jnp.sqrt(variance + EPSILON)
+  return PLAIN[activation](z * scale.reshape(spread) + offset.reshape(spread))
+
+
+def draw(*shape):
+  rng = np.random.default_rng(0)
+  x = 3 * rng.standard_normal(shape, dtype=np.float32) + 1
+  scale, offset = rng.standard_normal((2, shape[-1]), dtype=np.float32)
+  return x, scale, offset
+
+
+@pytest.mark.parametrize('activation', PLAIN)
+@pytest.mark.parametrize('shape', [(7, 5), (2, 3, 4, 6), (2, 2, 2, 2, 2, 2, 2, 3)])
+def test_value_and_gradients(activation, shape):
+  x, scale, offset = draw(*shape)
+  ours = jax.jit(lambda *a: normalization.normalize(*a, activation)[0])
+  out, pullback = jax.vjp(ours, x, scale, offset)
+  expected, expected_pullback = jax.vjp(lambda *a: plain(*a, activation), x, scale, offset)
+  np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-5)
+  cotangent = np.random.default_rng(1).standard_normal(shape, dtype=np.float32)
+  for got, want in zip(pullback(cotangent), expected_pullback(cotangent), strict=True):
+    np.testing.assert_allclose(got, want, rtol=1e-4, atol=2e-5)
+
+
+def test_moments_are_those_of_numpy():
+  x, scale, offset = draw(50, 4)
+  _, mean, variance = normalization.normalize(x, scale, offset, ELU)
+  np.testing.assert_allclose(mean, x.mean(0), rtol=1e-5)
+  np.testing.assert_allclose(variance, x.var(0), rtol=1e-4)
+
+
+def test_running_statistics_give_the_same_affine_map():
+  x, scale, offset = draw(50, 4)
+  y, mean, variance = normalization.normalize(x, scale, offset, SIGMOID)
+  again = normalization.affine(x, mean, variance, scale, offset, SIGMOID)
+  np.testing.assert_allclose(again, y, rtol=1e-6)
+
+
+def test_constant_channel_is_finite():
+  x = jnp.ones((6, 2))
+  f = jax.grad(lambda x: normalization.normalize(x, jnp.ones(2), jnp.zeros(2), ELU)[0].sum())
+  assert np.isfinite(f(x)).all()
+
+
+@pytest.mark.parametrize('activation', PLAIN)
+def test_slopes(activation):
+  check_grads(activation.value, (jnp.array([-2.0, -0.5, 0.3, 4.0]),), 1, ('rev',), 1e-2, 1e-2)
+  x = jnp.linspace(-4.0, 4.0, 9) + 0.1
+  slope = jax.vmap(jax.grad(activation.value))(x)
+  np.testing.assert_allclose(activation.slope(activation.value(x)), slope, rtol=1e-5, atol=1e-6)
+
+
+def test_elu_of_tiny_numbers():
+  x = jnp.array([-1e-3, -1e-6, 0.0, 1e-6])
+  np.testing.assert_allclose(ELU.value(x), jax.nn.elu(x), atol=1.2e-7)

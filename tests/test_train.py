@@ -1,0 +1,103 @@
+"""The training step: it learns, it compiles once, and its pieces are what the recipes say."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cvn import train
+from cvn.data import Batch
+from cvn.grid import PADDING_INDEX
+from cvn.recipe import PAPER, RECIPES, RELEASE
+
+SLOTS = 256
+
+
+def make_batch(seed=0, size=2):
+  """A batch of random views and surfaces, the last slots of each padded."""
+  rng = np.random.default_rng(seed)
+  index = rng.integers(0, 64, (size, SLOTS, 3)).astype(np.int32)
+  index[:, -50:] = PADDING_INDEX
+  return Batch(
+    image=rng.random((size, 128, 128, 3), np.float32),
+    index=index,
+    color=rng.random((size, SLOTS, 3), np.float32),
+    flow=rng.random((size, SLOTS, 2), np.float32),
+  )
+
+
+@pytest.mark.parametrize('kind', ['shape', 'color'])
+def test_a_few_steps_lower_the_loss_with_one_trace(kind):
+  step = train.make_step(kind, PAPER, learning_rate=1e-3)
+  state = train.create_state(jax.random.key(0), kind)
+  batch, found = make_batch(), []
+  for _ in range(3):
+    state, metrics = step(state, batch)
+    found.append(float(metrics['loss']))
+  assert np.isfinite(found).all()
+  assert found[2] < found[0]
+  assert step._cache_size() == 1
+  assert int(state.step) == 3
+
+
+def test_color_loss_sees_only_surface_voxels():
+  batch = make_batch()
+  evaluate = train.make_eval('color', PAPER)
+  state = train.create_state(jax.random.key(0), 'color')
+  expected = evaluate(state, batch)
+  padded = batch.index[..., :1] == PADDING_INDEX
+  other = batch._replace(
+    color=np.where(padded, np.float32(9), batch.color),
+    flow=np.where(padded, np.float32(-9), batch.flow),
+  )
+  assert jax.tree.all(
+    jax.tree.map(lambda a, b: float(a) == float(b), evaluate(state, other), expected)
+  )
+
+
+@pytest.mark.parametrize('kind', ['shape', 'color'])
+def test_empty_surface_is_finite(kind):
+  batch = make_batch()
+  batch = batch._replace(index=np.full_like(batch.index, PADDING_INDEX))
+  state, metrics = train.make_step(kind, PAPER)(train.create_state(jax.random.key(0), kind), batch)
+  assert np.isfinite(float(metrics['loss']))
+  assert all(np.isfinite(x).all() for x in jax.tree.leaves(state))
+
+
+def test_running_statistics_follow_the_decay():
+  batch = make_batch()
+  state = train.create_state(jax.random.key(0), 'shape')
+  old = jax.tree.map(np.asarray, state.batch_stats)
+  network = train.NETWORKS['shape']
+  _, mutated = network.apply(
+    {'params': state.params, 'batch_stats': old}, batch.image, train=True, mutable='batch_stats'
+  )
+  state, _ = train.make_step('shape', RELEASE)(state, batch)
+  # The release starts with a decay of 0.5.
+  jax.tree.map(
+    lambda o, b, n: np.testing.assert_allclose(n, 0.5 * o + 0.5 * b, rtol=1e-4, atol=1e-5),
+    old,
+    mutated['batch_stats'],
+    state.batch_stats,
+  )
+
+
+def test_release_adds_the_kernel_penalty():
+  batch = make_batch()
+  state = train.create_state(jax.random.key(0), 'shape')
+  plain, penalised = (
+    float(train.make_eval('shape', r)(state, batch)['loss']) for r in (PAPER, RELEASE)
+  )
+  leaves = jax.tree_util.tree_leaves_with_path(state.params)
+  kernels = sum(float(jnp.abs(x).sum()) for path, x in leaves if path[-1].key == 'kernel')
+  np.testing.assert_allclose(penalised - plain, 1e-5 * kernels, rtol=1e-3)
+
+
+def test_schedules():
+  samples = jnp.array([0.0, 19_999, 20_000, 60_000, 1e7])
+  np.testing.assert_allclose(
+    RELEASE.learning_rate(samples), [3e-4, 3e-4, 2.1e-4, 1.029e-4, 1e-5], rtol=1e-5
+  )
+  np.testing.assert_allclose(RELEASE.norm_decay(samples), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
+  np.testing.assert_allclose(PAPER.learning_rate(samples), 3e-4)
+  assert sorted(RECIPES) == ['paper', 'release']
