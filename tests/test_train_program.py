@@ -414,8 +414,7 @@ def test_program_prints_one_line(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('network', ['shape', 'color'])
-@pytest.mark.parametrize('recipe', ['paper', 'release'])
+@pytest.mark.parametrize(('network', 'recipe'), [('shape', 'paper'), ('color', 'release')])
 def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe):
   """Four steps, and two and two, with validation and pictures."""
   flag = f'--recipe={recipe}'
