@@ -1,16 +1,31 @@
 """Coloured triangle meshes: one plain form for every file type.
 
-Colours are sRGB RGBA values as stored in files, in [0, 1]. A face has a colour at each corner
-(material, vertex or face colour) and, maybe, a texture that multiplies it. Texture coordinates are
-(u, v), u right, v up: v = 1 is the top of the image, which is row 0, and images repeat without end.
+Colours are sRGB RGBA values as stored in files, in [0, 1], never linearised. A face has a colour at
+each corner (material, vertex and face colour, multiplied) and, maybe, a texture that multiplies it.
+Texture coordinates are (u, v), u right, v up: v = 1 is the top of the image, which is row 0, and
+images repeat without end.
+
+What is surface: every face, glass too (a corner alpha below 1 tells of glass and takes nothing
+away), except where the texture's own alpha is below `CUTOUT_ALPHA`: there is a hole.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+import PIL.Image
+import trimesh
+from trimesh.visual.color import DEFAULT_COLOR
+from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
 from cvn.grid import OBJECT_EXTENT
+
+CUTOUT_ALPHA = 0.5
+INVISIBLE_ALPHA = (
+  0.05  # a material with less is a modeller's helper and no glass: faces are dropped
+)
+NO_COLOR = 0.6  # the grey of a mesh that has no colour at all
+MAX_TEXTURE_SIDE = 2048  # pixels; larger images are shrunk, a voxel covers 30 of these anyway
 
 
 class TexturedMesh(NamedTuple):
@@ -35,25 +50,45 @@ def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.
   Returns:
     [N, 4] float32 RGBA in [0, 1].
   """
-  w = barycentric.astype(np.float32)
-  color = np.einsum('nk,nkc->nc', w, mesh.corner_colors[face])
-  uv = np.einsum('nk,nkc->nc', w, mesh.corner_uv[face])
-  texture = mesh.texture[face]
-  for t in np.unique(texture[texture >= 0]):
-    at = texture == t
-    color[at] *= _sample(mesh.textures[t], uv[at])
+  color = _interpolate(mesh.corner_colors, face, barycentric)
+  for at, texel in _texels(mesh, face, barycentric):
+    color[at] *= texel
   return color
+
+
+def is_surface(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+  """Whether points of faces are surface and no hole in a cut-out texture: [N] bool."""
+  present = np.ones(len(face), bool)
+  holed = [t for t, image in enumerate(mesh.textures) if image[..., 3].min() < 255 * CUTOUT_ALPHA]
+  for at, texel in _texels(mesh, face, barycentric, only=holed):
+    present[at] = texel[:, 3] >= CUTOUT_ALPHA
+  return present
+
+
+def _interpolate(corners, face, barycentric):
+  """[F, 3, C] values of corners at [N] points of faces -> [N, C] float32."""
+  corner, w = corners[face], barycentric.astype(np.float32)
+  return corner[:, 0] * w[:, :1] + corner[:, 1] * w[:, 1:2] + corner[:, 2] * w[:, 2:]
+
+
+def _texels(mesh, face, barycentric, only=None):
+  """Yields (indices into the points, their [n, 4] texels), one texture after the other."""
+  texture = mesh.texture[face]
+  for t in range(len(mesh.textures)) if only is None else only:
+    at = np.flatnonzero(texture == t)
+    if len(at):
+      uv = _interpolate(mesh.corner_uv, face[at], barycentric[at])
+      yield at, _sample(mesh.textures[t], uv)
 
 
 def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
   """Bilinear, repeating lookup: [H, W, 4] uint8 at [N, 2] -> [N, 4] float32 in [0, 1].
 
-  Texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H. The
-  fraction of u and v is taken first: far from 0, float32 has no digits left for it.
+  Texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H.
   """
   height, width = image.shape[:2]
-  x = (uv[:, 0] - np.floor(uv[:, 0])) * width - 0.5
-  y = (np.ceil(uv[:, 1]) - uv[:, 1]) * height - 0.5
+  x = uv[:, 0] % 1 * width - np.float32(0.5)
+  y = -uv[:, 1] % 1 * height - np.float32(0.5)
   x0, y0 = np.floor(x), np.floor(y)
   fx, fy = (x - x0)[:, None], (y - y0)[:, None]
   left, top = x0.astype(np.int64) % width, y0.astype(np.int64) % height
@@ -61,6 +96,21 @@ def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
   upper = image[top, left] * (1 - fx) + image[top, right] * fx
   lower = image[bottom, left] * (1 - fx) + image[bottom, right] * fx
   return (upper * (1 - fy) + lower * fy) / np.float32(255)
+
+
+def check(mesh: TexturedMesh) -> None:
+  """Rejects a mesh that cannot be normalised.
+
+  Raises:
+    UserError: no faces, coordinates that are not finite, or no extent.
+  """
+  if not len(mesh.faces):
+    raise UserError('the mesh has no faces')
+  used = mesh.vertices[np.unique(mesh.faces)]
+  if not np.isfinite(used).all():
+    raise UserError('the mesh has coordinates that are not finite (NaN or infinite)')
+  if not np.ptp(used, axis=0).max() > 0:
+    raise UserError('the mesh has no extent: all its faces shrink to one point')
 
 
 def normalize(mesh: TexturedMesh) -> TexturedMesh:
@@ -74,16 +124,184 @@ def normalize(mesh: TexturedMesh) -> TexturedMesh:
   return mesh._replace(vertices=(mesh.vertices - (low + high) / 2) * scale)
 
 
-def check(mesh: TexturedMesh) -> None:
-  """Rejects a mesh that cannot be normalised.
+def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False) -> TexturedMesh:
+  """All triangles of a scene, in the scene's frame, with their colours.
+
+  Material, vertex and face colours and the texture multiply, as MTL and glTF say, with one
+  exception: a material that is black (`Kd 0 0 0`, what exporters write beside `map_Kd`) or has no
+  colour of its own leaves the texture or the vertex colours alone. A texture is real when it was
+  read from a file or is larger than 2x2 pixels: trimesh puts a 2x2 one of its own where there is
+  none. A texture without texture coordinates is taken as its mean colour.
+
+  Faces without area and faces of invisible materials are left out.
+
+  Args:
+    loaded: what trimesh made of a file.
+    gltf: the file is glTF, where factors and vertex colours are linear (they are converted to
+      sRGB; textures are sRGB already) and where alpha counts only if the material's mode says so.
+      Files written by trimesh are no exception, although it writes sRGB values there unconverted:
+      every viewer shows such a file too light.
+
+  Returns:
+    The mesh; not normalised, and not checked.
 
   Raises:
-    UserError: no faces, coordinates that are not finite, no extent, or not a single visible face.
+    OSError, ValueError: a texture that is no image.
   """
-  if not len(mesh.faces):
-    raise UserError('the mesh has no faces')
-  used = mesh.vertices[np.unique(mesh.faces)]
-  if not np.isfinite(used).all():
-    raise UserError('the mesh has coordinates that are not finite (NaN or infinite)')
-  if not (np.ptp(used, axis=0).max() > 0):
-    raise UserError('the mesh has no extent: all its faces shrink to one point')
+  scene = loaded if isinstance(loaded, trimesh.Scene) else trimesh.Scene(loaded)
+  parts, textures, known = [_EMPTY], [], {}
+  offset = 0
+  for node in scene.graph.nodes_geometry:
+    transform, name = scene.graph[node]
+    geometry = scene.geometry[name]
+    if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
+      continue  # points and paths have no surface
+    vertices = trimesh.transform_points(np.asarray(geometry.vertices, np.float64), transform)
+    faces = np.asarray(geometry.faces, np.int64)
+    colors, uv, picture = _appearance(geometry, gltf)
+    texture = -1
+    if picture is not None:
+      image, cutoff = picture
+      texture = known.setdefault((id(image), cutoff), len(textures))
+      if texture == len(textures):
+        textures.append(_pixels(image, cutoff))
+    if texture >= 0 and uv is None:
+      colors *= textures[texture].mean((0, 1), dtype=np.float32) / np.float32(255)
+      texture = -1
+    if texture < 0:
+      uv = np.zeros((len(faces), 3, 2), np.float32)
+    keep = _has_area(vertices, faces) & (colors[..., 3].max(-1) >= INVISIBLE_ALPHA)
+    # A mirroring transform turns faces inside out: their corners go backwards.
+    corners = [2, 1, 0] if np.linalg.det(transform[:3, :3]) < 0 else [0, 1, 2]
+    parts.append(
+      (
+        vertices,
+        (faces + offset)[keep][:, corners],
+        colors[keep][:, corners],
+        uv[keep][:, corners],
+        np.full(np.count_nonzero(keep), texture, np.int32),
+      )
+    )
+    offset += len(vertices)
+  arrays = (np.concatenate(column) for column in zip(*parts, strict=True))
+  return TexturedMesh(*arrays, tuple(textures))
+
+
+_EMPTY = (
+  np.zeros((0, 3)),
+  np.zeros((0, 3), np.int64),
+  np.zeros((0, 3, 4), np.float32),
+  np.zeros((0, 3, 2), np.float32),
+  np.zeros(0, np.int32),
+)
+
+
+def _has_area(vertices, faces):
+  """[F] bool; true also for faces with NaN, which `check` is to see."""
+  with np.errstate(invalid='ignore', over='ignore'):
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return (np.cross(b - a, c - a) != 0).any(-1)
+
+
+def _appearance(geometry, gltf):
+  """One geometry's (corner colours [F, 3, 4], uv [F, 3, 2] or None, arguments of `_pixels`)."""
+  faces, visual = geometry.faces, geometry.visual
+  vertex, face = geometry.vertex_attributes.get('color'), geometry.face_attributes.get('color')
+  material, uv, picture = None, None, None
+  if visual.kind == 'texture':
+    material, picture = _material(visual.material, gltf)
+    vertex = visual.vertex_attributes.get('color', vertex)  # COLOR_0 beside a material
+    if visual.uv is not None and np.shape(visual.uv) == (len(geometry.vertices), 2):
+      # Each face moves to the first tile: far from 0, float32 has no digits left for a texel.
+      uv = np.nan_to_num(visual.uv)[faces]
+      uv = (uv - np.floor(uv.min(1, keepdims=True))).astype(np.float32)
+  elif visual.kind == 'vertex':
+    vertex = visual.vertex_colors
+  elif visual.kind == 'face':
+    face = visual.face_colors
+
+  colors = np.ones((len(faces), 3, 4), np.float32)
+  if vertex is not None:
+    vertex = _as_rgba(vertex)
+    colors *= (_linear_to_srgb(vertex) if gltf else vertex)[faces]
+  if face is not None:
+    colors *= _as_rgba(face)[:, None]
+  others = not (picture is None and vertex is None and face is None)
+  if material is None or (others and not gltf and not material[:3].any()):
+    colors[..., :3] *= 1 if others else NO_COLOR
+    colors[..., 3] *= 1 if material is None else material[3]
+  else:
+    colors *= material
+  return colors, uv, picture
+
+
+def _material(material, gltf):
+  """(RGBA [4] or None where the material has no colour, arguments of `_pixels` or None)."""
+  cutoff = None
+  if isinstance(material, PBRMaterial):
+    image, color = material.baseColorTexture, material.baseColorFactor
+    color = np.ones(4, np.float32) if color is None else _as_rgba(color)
+    if gltf:
+      color = _linear_to_srgb(color)
+      if material.alphaMode == 'MASK':
+        cutoff = 0.5 if material.alphaCutoff is None else material.alphaCutoff
+        cutoff /= max(color[3], 1e-6)
+      elif material.alphaMode != 'BLEND':
+        cutoff = 0.0
+      color[3] = 1 if cutoff is not None else color[3]
+  else:
+    image = getattr(material, 'image', None)
+    color = getattr(material, 'diffuse', None)
+    color = None if color is None or np.array_equal(color, DEFAULT_COLOR) else _as_rgba(color)
+    alpha = _dissolve(getattr(material, 'kwargs', {}))
+    if color is not None and alpha is not None:
+      color[3] = alpha
+  if image is None or (image.format is None and max(image.size) <= 2):
+    return color, None
+  return color, (image, cutoff)
+
+
+def _dissolve(mtl):
+  """The alpha of an MTL material, from `d` or its complement `Tr`; None where neither is given.
+
+  `Tr 1` is ignored: some programs mean opaque by it.
+  """
+  for name, alpha in (('d', lambda x: x), ('tr', lambda x: 1 - x if x < 1 else 1.0)):
+    try:
+      return float(np.clip(alpha(float(mtl[name][-1])), 0, 1))
+    except (KeyError, IndexError, ValueError):
+      continue
+  return None
+
+
+def _pixels(image: PIL.Image.Image, cutoff: float | None) -> np.ndarray:
+  """[H, W, 4] uint8 of an image; alpha is cut at `cutoff` to 0 and 255 where that is given."""
+  shrink = -(-max(image.size) // MAX_TEXTURE_SIDE)
+  pixels = np.array(image.convert('RGBA').reduce(shrink))
+  if cutoff is not None:
+    pixels[..., 3] = np.where(pixels[..., 3] >= 255 * cutoff, 255, 0)
+  if pixels[..., 3].max() < 255 * CUTOUT_ALPHA:
+    pixels[..., 3] = 255  # glass, or an alpha that means something else: a hole has a rim
+  return pixels
+
+
+def _as_rgba(colors):
+  """[..., 3 or 4] of any type -> [..., 4] float32 in [0, 1]."""
+  colors = np.asarray(colors)
+  if colors.dtype.kind in 'iu':
+    colors = colors / np.float32(np.iinfo(colors.dtype).max)
+  colors = np.nan_to_num(colors).astype(np.float32)
+  if colors.size and colors.max() > 2:  # floats that count to 255
+    colors = colors / np.float32(255)
+  if colors.shape[-1] == 3:
+    colors = np.concatenate([colors, np.ones_like(colors[..., :1])], -1)
+  return np.clip(colors, 0, 1)
+
+
+def _linear_to_srgb(rgba):
+  """IEC 61966-2-1's curve on the first three channels."""
+  rgb = rgba[..., :3]
+  curve = np.where(
+    rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-6) ** (1 / 2.4) - 0.055
+  )
+  return np.concatenate([curve.astype(np.float32), rgba[..., 3:]], -1)
