@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import matplotlib.figure
+import numpy as np
+from PIL import Image
 
 
 class Example(NamedTuple):
@@ -27,10 +29,8 @@ class Curve(NamedTuple):
   """A quantity in the course of training."""
 
   title: str
-  epochs: Sequence[float]
-  values: Sequence[float]
-  validation_epochs: Sequence[float]
-  validation_values: Sequence[float]
+  training: Sequence[tuple[float, float]]  # (epoch, value)
+  validation: Sequence[tuple[float, float]]  # likewise
 
 
 class Table(NamedTuple):
@@ -79,6 +79,13 @@ def render(page: Page) -> str:
   return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', _VIEWER)
 
 
+def to_png(image: np.ndarray) -> bytes:
+  """A uint8 image [H, W, 3] as the bytes of a PNG file."""
+  file = io.BytesIO()
+  Image.fromarray(image).save(file, 'png')
+  return file.getvalue()
+
+
 def _example(index: int, example: Example) -> str:
   links = ' '.join(
     f'<a href="{html.escape(link)}" download>{html.escape(link.rsplit("/", 1)[-1])}</a>'
@@ -87,7 +94,7 @@ def _example(index: int, example: Example) -> str:
   return f"""<section>
 <h3>{html.escape(example.name)} <small>{links}</small></h3>
 <div class="example">
-<canvas class="viewer" data-glb="glb{index}" width="440" height="440"></canvas>
+<canvas class="viewer" data-glb="glb{index}" width="800" height="800"></canvas>
 <div><img class="wide" alt="reconstruction" src="{_data_uri(example.panel)}">
 <img alt="truth" src="{_data_uri(example.truth)}"></div>
 </div>
@@ -113,15 +120,11 @@ def _curve(curve: Curve) -> str:
   """A small line chart as inline SVG."""
   figure = matplotlib.figure.Figure(figsize=(4.4, 2.8), layout='constrained')
   axes = figure.subplots()
-  axes.plot(curve.epochs, curve.values, color='#4a7fc1', linewidth=1, label='training')
-  axes.plot(
-    curve.validation_epochs,
-    curve.validation_values,
-    'o-',
-    color='#d9822b',
-    ms=3,
-    label='validation',
-  )
+  if curve.training:
+    axes.plot(*zip(*curve.training, strict=True), color='#4a7fc1', linewidth=1, label='training')
+  if curve.validation:
+    at = tuple(zip(*curve.validation, strict=True))
+    axes.plot(*at, 'o-', color='#d9822b', markersize=3, label='validation')
   axes.set(title=curve.title, xlabel='epoch')
   axes.grid(alpha=0.3)
   axes.legend(frameon=False)
@@ -157,7 +160,7 @@ small { font-weight: normal; margin-left: 1em; }
 .bad { background: #fbeeee; border-color: #c43c3c; }
 .example { display: flex; gap: 1em; align-items: center; }
 .example > div { flex: 1; min-width: 0; }
-.viewer { width: 220px; height: 220px; flex: none; background: #f5f5f5; border-radius: 6px;
+.viewer { width: 400px; height: 400px; flex: none; background: #f5f5f5; border-radius: 6px;
   cursor: grab; touch-action: none; }
 .wide { max-width: 100%; display: block; }
 table { border-collapse: collapse; }
