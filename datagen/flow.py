@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from cvn.camera import Camera, project
 from cvn.grid import GRID_SIZE, index_to_world
@@ -29,7 +28,7 @@ SIMILARITY = 0.1
 FIDELITY = 0.1  # of the statistics: a sampled colour this close to the voxel's is the right one
 
 _NEIGHBOURS = 32  # pixels tried first for an occluded voxel
-_CHUNK = 1024  # voxels compared with all pixels at once
+_CHUNK = 256  # voxels compared with all pixels at once
 
 
 class FlowStats(NamedTuple):
@@ -180,11 +179,24 @@ def _closest_similar(pixel, color, centers, seen, similarity):
   similar = np.linalg.norm(seen[near] - color[:, None], axis=-1) <= similarity
   chosen = np.take_along_axis(near, similar.argmax(1)[:, None], 1)[:, 0]
   fallback = np.zeros(len(pixel), bool)
+  # The others are compared with all pixels, by matrix products: squared distances of 8-bit colours
+  # are whole numbers that float32 holds exactly, and of positions only the order counts.
+  middle = centers.mean(0)
+  place, there = (pixel - middle).astype(np.float32), (centers - middle).astype(np.float32)
   rest = np.flatnonzero(~similar.any(1))
   for at in np.split(rest, range(_CHUNK, len(rest), _CHUNK)):
-    difference = cdist(color[at], seen)
+    difference = _squared_distances(color[at].astype(np.float32), seen.astype(np.float32))
     least = difference.min(1, keepdims=True)
-    fallback[at] = least[:, 0] > similarity
-    allowed = np.maximum(least, similarity)
-    chosen[at] = np.where(difference <= allowed, cdist(pixel[at], centers), np.inf).argmin(1)
+    fallback[at] = least[:, 0] > similarity**2
+    candidate = difference <= np.maximum(least, np.float32(similarity**2))
+    far = _squared_distances(place[at], there)
+    chosen[at] = np.where(candidate, far, np.inf).argmin(1)
   return chosen, fallback
+
+
+def _squared_distances(a, b):
+  """[N, D], [P, D] -> [N, P]."""
+  square_a, square_b = (np.square(x).sum(1, keepdims=True) for x in (a, b))
+  left = np.concatenate([a, square_a, np.ones_like(square_a)], 1)
+  right = np.concatenate([-2 * b, np.ones_like(square_b), square_b], 1)
+  return left @ right.T

@@ -1,0 +1,91 @@
+"""One picture of a data set's first models, for a person to check in one look.
+
+A row a model. Views stand beside the colour voxels drawn by the same cameras, so that anything
+mirrored or turned shows. The flow of the first view is shown in the paper's colour code on the
+voxels, from the front and from behind, and last come the colours that this flow fetches from the
+view: where flows point right, they look like the voxels' own.
+"""
+
+import numpy as np
+
+from cvn.camera import IMAGE_SIZE
+from cvn.dataset import Dataset, Record, read_record, surface_counts
+from cvn.figures import draw_voxels, flow_color_code, grid_of_images, over
+from cvn.grid import ColoredVoxels
+
+MODELS = 12
+PAIRS = (1, 4)  # views shown beside the voxels from the same side: 30 and 120 degrees
+FLOW_VIEW = 1  # the view whose flow is shown
+ELEVATION = 20  # degrees, of the voxels seen from behind
+GROUND = (245, 245, 245)
+
+
+def contact_sheet(dataset: Dataset, *, models: int = MODELS) -> np.ndarray:
+  """Draws the first models that are made.
+
+  Args:
+    dataset: the data set.
+    models: how many of them at most.
+
+  Returns:
+    uint8 [H, W, 3].
+  """
+  rows = np.flatnonzero(surface_counts(dataset))[:models]
+  pictures = [_pictures(dataset, read_record(dataset, row)) for row in rows]
+  return grid_of_images(
+    [list(p.values()) for p in pictures],
+    column_titles=list(pictures[0]) if pictures else [],
+    row_titles=[_wrapped(dataset.manifest.models[row].id) for row in rows],
+    background=GROUND,
+  )
+
+
+def flow_legend(size: int = IMAGE_SIZE) -> np.ndarray:
+  """The colour code over the image plane: uint8 [size, size, 3]."""
+  at = (np.arange(size) + 0.5) / size
+  uv = np.stack(np.meshgrid(at, at), -1)
+  return np.round(flow_color_code(uv) * 255).astype(np.uint8)
+
+
+def _pictures(dataset: Dataset, record: Record) -> dict[str, np.ndarray]:
+  """Title -> picture."""
+  azimuths = dataset.manifest.azimuths
+
+  def voxels(values):
+    size = dataset.manifest.grid_size
+    occupancy = np.zeros((size, size, size), bool)
+    color = np.zeros((size, size, size, 3), np.float32)
+    at = tuple(record.surface_index.T)
+    occupancy[at], color[at] = True, values
+    return ColoredVoxels(occupancy, color)
+
+  def view(v):
+    image = over(record.views[v], GROUND)
+    enlarge = max(1, IMAGE_SIZE // len(image))
+    return np.repeat(np.repeat(image, enlarge, 0), enlarge, 1)
+
+  def drawn(volume, azimuth, elevation):
+    return draw_voxels(volume, azimuth, elevation=elevation, size=IMAGE_SIZE, background=GROUND)
+
+  own = voxels(record.surface_color / 255)
+  pictures = {}
+  for v in PAIRS:
+    pictures[f'view {azimuths[v]}'] = view(v)
+    pictures[f'voxels {azimuths[v]}'] = drawn(own, azimuths[v], 0)
+  front, back = azimuths[FLOW_VIEW], azimuths[FLOW_VIEW] + 180
+  pictures[f'voxels {back}'] = drawn(own, back, ELEVATION)
+  flow = record.flow[FLOW_VIEW]
+  coded = voxels(flow_color_code(flow))
+  pictures['color code'] = flow_legend()
+  pictures[f'flow of view {front},\nseen from {front}'] = drawn(coded, front, 0)
+  pictures[f'seen from {back}'] = drawn(coded, back, ELEVATION)
+  height, width = record.views.shape[1:3]
+  column, row = np.minimum((flow * [width, height]).astype(int), [width - 1, height - 1]).T
+  sampled = voxels(record.views[FLOW_VIEW, row, column, :3] / 255)
+  pictures[f'what it fetches,\nseen from {front}'] = drawn(sampled, front, 0)
+  pictures[f'what it fetches,\nseen from {back}'] = drawn(sampled, back, ELEVATION)
+  return pictures
+
+
+def _wrapped(text: str, width: int = 16) -> str:
+  return '\n'.join(text[i : i + width] for i in range(0, len(text), width))
