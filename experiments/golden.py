@@ -1,0 +1,249 @@
+"""The golden values' format: what the files hold, and how inputs and weights are redrawn.
+
+The numbers were printed by the authors' program. Nothing large is stored: images, targets and
+weights follow from a seed by rule.
+"""
+
+import ast
+import re
+import zipfile
+import zlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cvn.camera import IMAGE_SIZE
+from cvn.errors import UserError
+from cvn.grid import GRID_SIZE
+from cvn.normalization import EPSILON
+
+BATCH = 4
+STRIDE = 7  # between the stored voxels of a network's outputs
+
+# What the files hold: the axes of every array. A number is a size, a letter stands for one size
+# within its file, '*' is any.
+OPS = {
+  'msfcel_logits': 'a b c d 1',
+  'msfcel_target': 'a b c d 1',
+  'msfcel_loss': '',
+  'msfcel_grad': 'a b c d 1',
+  'color_regressed': 'e f g h 3',
+  'color_blended': 'e f g h 3',
+  'color_target': 'e f g h 3',
+  'color_pred_flow': 'e f g h 2',
+  'color_target_flow': 'e f g h 2',
+  'color_loss_l1': '',
+  'deconv3d_x': 'i j k l m',
+  'deconv3d_kernel_dhw_out_in': '3 3 3 n m',
+  'deconv3d_y': 'i * * * n',
+  'conv2d_x': 'o p q r',
+  'conv2d_kernel': 's s r t',
+  'conv2d_y': 'o * * t',
+  'sampler_image': 'u v w x',
+  'sampler_flow_xy': 'u A B C 2',
+  'sampler_nearest_color': 'u A B C x',
+}
+NETWORK = {
+  'seed': '',
+  'names': 'n',
+  'shapes': 'n',
+  'grad_l2': 'n',
+  'loss_total': '',
+  'l1_penalty': '',
+  'adam_losses': 's',
+}
+SHAPE = NETWORK | {'out_logits': '4 10 10 10 1'}
+COLOR = NETWORK | {
+  'out_regressed': '4 10 10 10 3',
+  'out_confidence_of_regressed': '4 10 10 10 1',
+  'out_flow_xy': '4 10 10 10 2',
+  'out_blended': '4 10 10 10 3',
+}
+TEXT = ('names', 'shapes')
+MODEL = {'gt_color': 'n n n 3'}
+VIEW = {
+  'occupancy': 'n n n',
+  'regressed': 'n n n 3',
+  'confidence_of_regressed': 'n n n',
+  'flow_xy': 'n n n 2',
+  'image': 'h w 3',
+  'iou': '',
+  'psnr_rgb': '',
+  'psnr_ycbcr': '',
+}
+
+# The authors' layers and ours; kernels of the first kind are stored [..., out, in].
+TRANSPOSED = {
+  'Decoding/deconv1': 'trunk/decoder/deconv0',
+  'Decoding/deconv2': 'trunk/decoder/deconv1',
+  'Decoding/deconv3': 'trunk/decoder/deconv2',
+  'Decoding/deconv4': 'head/deconv',
+  'Decoding/deconv_reg_clr1': 'regressed/deconv',
+  'Decoding/deconv_conf1': 'weight/deconv',
+  'Decoding/deconv_flow': 'flow/deconv',
+}
+PLAIN = {
+  **{f'Encoding/conv{i + 1}': f'trunk/encoder/conv{i}' for i in range(6)},
+  **{f'Latent_variable/fc{i + 1}': f'trunk/encoder/latent{i}' for i in range(2)},
+  'Decoding/deconv5': 'head/conv',
+  'Decoding/deconv_reg_clr2': 'regressed/conv',
+  'Decoding/conv_conf2': 'weight/conv',
+}
+VARIABLES = {
+  'weights': 'kernel',
+  'biases': 'bias',
+  'bn/gamma': 'norm/scale',
+  'bn/beta': 'norm/bias',
+}
+
+
+def read(path: str, spec: dict[str, str] | None) -> dict[str, np.ndarray]:
+  """The arrays of a file, checked against the axes they must have (None: those of metrics.npz).
+
+  Raises:
+    UserError: the file is missing or garbled, or an array is missing or of another shape.
+  """
+  try:
+    with np.load(path) as f:
+      arrays = {k: f[k] for k in f.files}
+  except FileNotFoundError as e:
+    raise UserError(f'{path} is missing') from e
+  except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as e:
+    raise UserError(f'{path} is no readable .npz file: {e}') from e
+  if spec is None:
+    found = list_views(arrays)
+    if not found:
+      raise UserError(f'{path} holds no view: no array is called <model>_v<number>_occupancy')
+    spec = {f'{model}_{k}': v for model, _ in found for k, v in MODEL.items()}
+    spec |= {f'{model}_{view}_{k}': v for model, view in found for k, v in VIEW.items()}
+  sizes: dict[str, int] = {}
+  for name, axes in spec.items():
+    if name not in arrays:
+      raise UserError(f'{path} has no array {name}')
+    shape, wanted = arrays[name].shape, axes.split()
+    fits = len(shape) == len(wanted) and all(
+      axis == '*' or size == (int(axis) if axis.isdigit() else sizes.setdefault(axis, size))
+      for axis, size in zip(wanted, shape, strict=True)
+    )
+    if not fits or arrays[name].dtype.kind not in ('U' if name in TEXT else 'fiu'):
+      raise UserError(
+        f'{path}: {name} is {arrays[name].dtype} {list(shape)}, where [{axes}] is due'
+        f' ({", ".join(f"{k}={v}" for k, v in sizes.items()) or "sizes are free"})'
+      )
+  return arrays
+
+
+def list_views(golden: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+  """The pairs (model, view) of metrics.npz."""
+  found = (re.fullmatch(r'(\w+)_(v\d+)_occupancy', k) for k in golden)
+  return [(m[1], m[2]) for m in found if m]
+
+
+def draw_input(golden: dict[str, np.ndarray]):
+  """What a network is fed with.
+
+  Returns:
+    (image [B, H, W, 3] float32, mask [B, X, Y, Z, 1] bool, the generator as it stands now).
+  """
+  generator = np.random.RandomState(int(golden['seed']) + 7)
+  image = generator.rand(BATCH, IMAGE_SIZE, IMAGE_SIZE, 3).astype(np.float32)
+  return image, generator.rand(BATCH, *(GRID_SIZE,) * 3, 1) < 0.03, generator
+
+
+def draw_params(golden: dict[str, np.ndarray], network_params) -> dict:
+  """A network's parameters as the rule draws the authors' variables.
+
+  Args:
+    golden: of net_shape.npz or net_color.npz.
+    network_params: the network's own tree, for its structure and shapes.
+
+  Raises:
+    UserError: the variables are not this network's.
+  """
+  drawn = {}
+  for name, shape in zip(golden['names'].tolist(), golden['shapes'].tolist(), strict=True):
+    try:
+      shape = tuple(int(n) for n in ast.literal_eval(shape))
+    except (ValueError, SyntaxError, TypeError) as e:
+      raise UserError(f'the golden shape {shape!r} of {name} is none') from e
+    value = _draw_variable(name, shape, int(golden['seed']))
+    drawn[to_path(name)] = value.swapaxes(-1, -2) if _is_transposed(name) else value
+  own = flatten(network_params)
+  for path in sorted(own.keys() | drawn.keys()):
+    theirs, ours = drawn.get(path), own.get(path)
+    if theirs is None or ours is None or theirs.shape != ours.shape:
+      raise UserError(
+        f'{path} is {"missing" if theirs is None else list(theirs.shape)} in the golden values,'
+        f' {"missing" if ours is None else list(ours.shape)} in this network'
+      )
+  return jax.tree_util.tree_map_with_path(lambda path, _: drawn[join(path)], network_params)
+
+
+def to_path(name: str) -> str:
+  """Our name of one of the authors' variables: 'trunk/encoder/conv0/kernel'.
+
+  Raises:
+    UserError: there is no such variable.
+  """
+  for ending, own in VARIABLES.items():
+    layer = name.removesuffix('/' + ending)
+    if layer != name and layer in TRANSPOSED | PLAIN:
+      return f'{(TRANSPOSED | PLAIN)[layer]}/{own}'
+  raise UserError(f'the golden values name a variable {name!r} that no network here has')
+
+
+def flatten(params) -> dict[str, jax.Array]:
+  """A tree of parameters by their names, 'trunk/encoder/conv0/kernel'."""
+  return {join(path): x for path, x in jax.tree_util.tree_leaves_with_path(params)}
+
+
+def join(path) -> str:
+  """A leaf's name."""
+  return jax.tree_util.keystr(path, simple=True, separator='/')
+
+
+def one_by_one_line(volume: jax.Array, params, stats) -> np.ndarray:
+  """How the authors' rounding moves a volume: [2, C], gain and offset of its channels' logits.
+
+  Their program takes the variance of a channel's 2^20 values as a float32 sum of one value after
+  the other, which loses 5e-4 to 7e-4 of it. Ours is exact to 1e-6, and so the stored volumes of
+  two and three channels differ by a gain of 1.0003 in front of the sigmoid: next to nothing, but
+  for it the nearest sampler takes another pixel at one voxel in two hundred. This repeats the sum.
+
+  Args:
+    volume: [B, X, Y, Z, C] in (0, 1), ours.
+    params: of the layer that made it.
+    stats: its batch statistics, ours.
+  """
+  values = np.asarray(volume, np.float64).reshape(-1, volume.shape[-1])
+  scale, bias = (np.asarray(params['norm'][k], np.float64) for k in ('scale', 'bias'))
+  mean, variance = (np.asarray(stats['norm'][k], np.float64) for k in ('mean', 'var'))
+  deviation = np.sqrt(variance + EPSILON)
+  x = ((np.log(values / (1 - values)) - bias) / scale * deviation + mean).astype(np.float32)
+
+  def average(v):  # a cumulative sum, unlike a sum, adds one value after the other
+    return np.add.accumulate(v)[-1] / np.float32(len(v))
+
+  their_mean = average(x)
+  gain = deviation / np.sqrt(average((x - their_mean) ** 2) + EPSILON)
+  offset = bias - gain * (bias + scale * (their_mean - mean) / deviation)
+  return np.stack([gain, offset]).astype(np.float32)
+
+
+def apply_line(volume: jax.Array, line) -> jax.Array:
+  """A volume [..., C] in (0, 1) with gain and offset [2, C] applied to its logits."""
+  gain, offset = (jnp.reshape(v, (1,) * (volume.ndim - 1) + (-1,)) for v in line)
+  return jax.nn.sigmoid(jax.scipy.special.logit(volume) * gain + offset)
+
+
+def _is_transposed(name):
+  return name.endswith('/weights') and name.removesuffix('/weights') in TRANSPOSED
+
+
+def _draw_variable(name, shape, seed):
+  generator = np.random.RandomState((zlib.crc32(name.encode()) + seed) & 0x7FFFFFFF)
+  if name.endswith('weights'):
+    limit = np.sqrt(6 / (np.prod(shape[:-2]) * (shape[-1] + shape[-2])))
+    return generator.uniform(-limit, limit, shape).astype(np.float32)
+  return (generator.randn(*shape) * 0.1 + name.endswith('gamma')).astype(np.float32)
