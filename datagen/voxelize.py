@@ -7,9 +7,9 @@ with lengths in voxels (L = 1). A voxel is occupied when its centre lies
 with their constants for 6-separation, the thinnest there is: R_c = 1/2 and t = cos(b) / 2, where b
 is the angle between the face's normal and the nearest axis. No path of steps from voxel to face
 neighbour crosses a closed surface without meeting an occupied voxel. (Paths that also step to
-edge and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a shell twice as thick.)
-So every occupied centre is within 1/2 voxel of the surface, and every centre within
-1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
+edge and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a shell 1.7 times as thick.)
+So every occupied centre is within 1/2 voxel of the surface, hence every occupied voxel is touched
+by it, and every centre within 1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
 
 One thing is added: rods thinner than a voxel, which may pass between all centres, do not vanish. In
 each slice of voxels that an edge crosses, the voxel nearest to the edge is occupied if none of
@@ -48,8 +48,8 @@ class _Claims(NamedTuple):
 def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> tuple[np.ndarray, np.ndarray]:
   """The surface shell of a mesh and its albedo.
 
-  A voxel's colour is the mean albedo over the surface inside the voxel; where it is occupied by a
-  surface that only passes nearby, the albedo of that surface's nearest point.
+  A voxel's colour is the mean albedo over the surface inside the voxel; where that is too little
+  to be sampled, the albedo at the surface's nearest point to its centre.
 
   Args:
     mesh: in the cube [-0.5, 0.5]^3; what lies outside is cut off.
