@@ -24,7 +24,7 @@ def contact_sheet(dataset: Dataset, *, models: int = MODELS) -> np.ndarray:
   """Draws the first models that are made.
 
   Args:
-    dataset: the data set.
+    dataset: the data set; one model of it is made at least.
     models: how many of them at most.
 
   Returns:
@@ -32,10 +32,12 @@ def contact_sheet(dataset: Dataset, *, models: int = MODELS) -> np.ndarray:
   """
   rows = np.flatnonzero(surface_counts(dataset))[:models]
   pictures = [_pictures(dataset, read_record(dataset, row)) for row in rows]
+  titles = list(pictures[0])
+  legend = [flow_legend() if t.startswith('flow') else None for t in titles]
   return grid_of_images(
-    [list(p.values()) for p in pictures],
-    column_titles=list(pictures[0]) if pictures else [],
-    row_titles=[_wrapped(dataset.manifest.models[row].id) for row in rows],
+    [*(list(p.values()) for p in pictures), legend],
+    column_titles=titles,
+    row_titles=[*(_wrapped(dataset.manifest.models[row].id) for row in rows), 'flow colours'],
     background=GROUND,
   )
 
@@ -76,7 +78,6 @@ def _pictures(dataset: Dataset, record: Record) -> dict[str, np.ndarray]:
   pictures[f'voxels {back}'] = drawn(own, back, ELEVATION)
   flow = record.flow[FLOW_VIEW]
   coded = voxels(flow_color_code(flow))
-  pictures['color code'] = flow_legend()
   pictures[f'flow of view {front},\nseen from {front}'] = drawn(coded, front, 0)
   pictures[f'seen from {back}'] = drawn(coded, back, ELEVATION)
   height, width = record.views.shape[1:3]

@@ -7,8 +7,8 @@ are hard as in the authors' data; its colour is the mean over the SAMPLES x SAMP
 pixel that meet the surface. Depth is the distance along the viewing axis, of the centre's ray.
 Where alpha is 0, the colour is 0 and the depth infinite.
 
-Holes cut by a texture (alpha below one half) are looked through, up to MAX_LAYERS of them. Glass,
-a material whose own alpha is low, is surface like any other: it belongs to the shape.
+Holes that a texture cuts (`datagen.mesh.is_surface`) are looked through, up to MAX_LAYERS of them,
+one behind the other.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from cvn.camera import IMAGE_SIZE, Camera, project
-from datagen.mesh import TexturedMesh, albedo
+from datagen.mesh import TexturedMesh, albedo, is_surface
 
 SHADINGS = ('flat', 'lit')
 SAMPLES = 3  # a pixel's rays along either axis; odd, so that one of them goes through its centre
@@ -185,12 +185,9 @@ def _barycentric(mesh, face, origin, direction):
 
 def _look_through(mesh, scene, origin, direction, face, weight):
   """Sends the rays that met a hole in a texture further on; face -1 where they meet nothing."""
-  cut = np.array([t >= 0 and (mesh.textures[t][..., 3] < 128).any() for t in mesh.texture])
-  plain = mesh._replace(corner_colors=np.ones_like(mesh.corner_colors))
   at = np.arange(len(face))
-  for _ in range(MAX_LAYERS if cut.any() else 0):
-    at = at[cut[face[at]]]
-    at = at[albedo(plain, face[at], weight[at])[:, 3] < 0.5]
+  for _ in range(MAX_LAYERS):
+    at = at[~is_surface(mesh, face[at], weight[at])]
     if not len(at):
       break
     point = np.einsum('nk,nkc->nc', weight[at], mesh.vertices[mesh.faces[face[at]]])

@@ -30,8 +30,8 @@ def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
 def read_splits(folder: str, category: str) -> dict[str, str]:
   """Reads `{train,val,test}_list_<category>.txt`, one id a line, as the authors' lists are.
 
-  An id of two words, as 'clothes1 mesh2' in the lists of people, is joined by a slash, as in the
-  paths of the files it names. A split without a file is empty.
+  An id of two words, as 'clothes1 mesh2' in the lists of people, is joined by an underscore, as the
+  parts of a path are in the ids of the source `meshes`. A split without a file is empty.
 
   Returns:
     id -> split.
@@ -51,7 +51,7 @@ def read_splits(folder: str, category: str) -> dict[str, str]:
     except (OSError, UnicodeDecodeError) as e:
       raise UserError(f'cannot read {path}: {getattr(e, "strerror", None) or e}') from e
     for line in lines:
-      model_id = re.sub(r'\s+', '/', line.strip())
+      model_id = re.sub(r'\s+', '_', line.strip())
       if not model_id:
         continue
       if splits.setdefault(model_id, split) != split:
