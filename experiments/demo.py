@@ -1,0 +1,281 @@
+r"""The whole system once: data, training of both networks, evaluation, models of held-out pictures.
+
+python -m experiments.demo --output=DIR
+
+Every stage is one of the project's own programs, shown as it is run. Each of them goes on where it
+stopped, so the same command resumes an interrupted demonstration. OUTPUT/index.html shows what came
+out. The exit status is 1 when that is not better than the trivial baselines.
+"""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from absl import flags
+from PIL import Image
+
+from cvn import data, errors, figures, grid
+from cvn.dataset import Dataset, open_dataset, read_record
+from cvn.errors import UserError
+from cvn.files import atomic_write
+from experiments import demo_page
+
+# Pictures show the object's front at different angles: these views of the data set, in turn.
+PICTURE_VIEWS = (1, 11, 2, 10)
+
+
+VALIDATIONS = 6  # in the course of a training
+
+# What the networks are measured by, its name and the baseline it is compared with.
+MEASURES = (
+  ('iou', 'IoU', 'mean training shape'),
+  ('psnr_rgb', 'surface PSNR, RGB', 'mean training colour'),
+  ('psnr_ycbcr', 'surface PSNR, YCbCr', 'mean training colour'),
+)
+
+
+class Picture(NamedTuple):
+  """A held-out view to reconstruct."""
+
+  row: int  # of the data set
+  view: int
+  name: str  # of its file, without the suffix
+  title: str
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  own = {'flag_values': f}
+  flags.DEFINE_string('output', 'demo', 'The folder for all that is made.', **own)
+  flags.DEFINE_string('category', 'chair', 'What the objects are.', **own)
+  flags.DEFINE_integer('limit', 300, 'Objects to make.', lower_bound=10, **own)
+  flags.DEFINE_integer('shape_epochs', 20, 'Of the shape network.', lower_bound=1, **own)
+  flags.DEFINE_integer('color_epochs', 20, 'Of the colour network.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 12, 'Views a training step.', lower_bound=1, **own)
+  flags.DEFINE_integer('pictures', 6, 'Held-out pictures to reconstruct.', 1, 8, **own)
+  flags.DEFINE_integer('workers', 2, 'Processes that make objects.', lower_bound=1, **own)
+  flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
+
+
+def main(_) -> int:
+  return run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> int:
+  """Runs all stages; returns the exit status."""
+  folder = {k: os.path.join(f.output, k) for k in ('data', 'shape', 'color', 'pictures', 'models')}
+  evaluation = os.path.join(f.output, 'evaluation.json')
+  networks = {k: folder[k] for k in ('shape', 'color')}
+
+  lines = []
+
+  def stage(program, **named):
+    lines.append(run_program([program, *(f'--{k}={v}' for k, v in named.items())], f.output))
+
+  stage(
+    'datagen.generate',
+    source='procedural',
+    category=f.category,
+    limit=f.limit,
+    output=folder['data'],
+    workers=f.workers,
+    seed=f.seed,
+  )
+  for network, epochs in (('shape', f.shape_epochs), ('color', f.color_epochs)):
+    stage(
+      'experiments.train',
+      network=network,
+      recipe='paper',
+      data=folder['data'],
+      workdir=folder[network],
+      epochs=epochs,
+      validate_every=max(1, epochs // VALIDATIONS),
+      batch_size=f.batch_size,
+      seed=f.seed,
+    )
+  stage('experiments.evaluate', data=folder['data'], baselines='true', json=evaluation, **networks)
+  dataset = open_dataset(folder['data'])
+  pictures = choose_pictures(dataset, f.pictures)
+  files = [write_picture(dataset, p, folder['pictures']) for p in pictures]
+  stage('experiments.reconstruct', image=','.join(files), output=folder['models'], **networks)
+
+  table, success, verdict = judge(read_json(evaluation))
+  page = demo_page.Page(
+    about=about(dataset, f),
+    verdict=verdict,
+    success=success,
+    examples=[make_example(dataset, p, folder['models'], f.output) for p in pictures],
+    table=table,
+    curves=[c for k in networks for c in read_curves(k, os.path.join(folder[k], 'log.jsonl'))],
+    contact_sheet=read_bytes(os.path.join(folder['data'], 'contact_sheet.png')),
+    commands=[(line, read_json(seconds_file(f.output))[line]) for line in lines],
+  )
+  index = os.path.join(f.output, 'index.html')
+  with atomic_write(index) as temporary, open(temporary, 'w') as out:
+    out.write(demo_page.render(page))
+  print(f'\n{verdict}\nopen {index}')
+  return int(not success)
+
+
+def run_program(arguments: Sequence[str], output: str) -> str:
+  """Runs one of the project's programs, and adds its seconds to those of earlier runs of it.
+
+  Returns:
+    The command.
+
+  Raises:
+    UserError: it failed; it has said why itself.
+  """
+  line = shlex.join(['python', '-m', *arguments])
+  print(f'\n$ {line}', flush=True)
+  start = time.monotonic()
+  process = subprocess.Popen([sys.executable, '-m', *arguments])
+  try:
+    status = process.wait()
+  except KeyboardInterrupt:
+    process.wait()  # it got the interrupt too, and may be saving
+    raise
+  finally:
+    path = seconds_file(output)
+    seconds = read_json(path) if os.path.exists(path) else {}
+    seconds[line] = seconds.get(line, 0) + time.monotonic() - start
+    with atomic_write(path) as temporary, open(temporary, 'w') as out:
+      json.dump(seconds, out, indent=1)
+  if status:
+    raise UserError(f'{arguments[0]} ended with status {status}, see above')
+  return line
+
+
+def choose_pictures(dataset: Dataset, count: int) -> list[Picture]:
+  """Views of the first held-out objects.
+
+  Raises:
+    UserError: no object is held out.
+  """
+  rows = data.select_rows(dataset, 'test')[:count]
+  if len(rows) == 0:
+    raise UserError('no object fell into the held-out split test: make more (--limit)')
+  pictures = []
+  for k, row in enumerate(rows):
+    view = PICTURE_VIEWS[k % len(PICTURE_VIEWS)]
+    azimuth = dataset.manifest.azimuths[view]
+    name = dataset.manifest.models[row].id
+    pictures.append(
+      Picture(int(row), view, f'{name}_{azimuth:g}', f'{name}, seen from {azimuth:g}°')
+    )
+  return pictures
+
+
+def write_picture(dataset: Dataset, picture: Picture, folder: str) -> str:
+  """A view as a PNG file with alpha; returns its name."""
+  path = os.path.join(folder, f'{picture.name}.png')
+  view = read_record(dataset, picture.row).views[picture.view]
+  with atomic_write(path) as temporary:
+    Image.fromarray(view).save(temporary)
+  return path
+
+
+def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
+  """What the page shows of a picture."""
+  stem = os.path.join(models, picture.name)
+  record = read_record(dataset, picture.row)
+  at = tuple(record.surface_index.T)
+  size = dataset.manifest.grid_size
+  truth = grid.ColoredVoxels(np.zeros((size,) * 3, bool), np.zeros((size,) * 3 + (3,)))
+  truth.occupancy[at] = True
+  truth.color[at] = record.surface_color / 255
+  azimuths = (figures.PANEL_AZIMUTH, *figures.RESULT_AZIMUTHS)
+  drawn = figures.grid_of_images(
+    [[None, *(figures.draw_voxels(truth, a, size=192) for a in azimuths)]],
+    column_titles=['', *(f'truth from {a}°' for a in azimuths)],
+  )
+  return demo_page.Example(
+    picture.title,
+    read_bytes(f'{stem}.png'),
+    demo_page.to_png(drawn),
+    read_bytes(f'{stem}.glb'),
+    [os.path.relpath(f'{stem}.{suffix}', output) for suffix in ('glb', 'ply', 'png')],
+  )
+
+
+def read_curves(network: str, path: str) -> list[demo_page.Curve]:
+  """The loss in a training's log, and what else validation measured that has a curve worth it."""
+  with open(path) as f:
+    lines = [json.loads(line) for line in f]
+  curves = []
+  for metric, title in (('loss', 'loss'), ('iou', 'IoU')):
+    trained = [(x['epoch'], x[metric]) for x in lines if metric in x]
+    validated = [
+      (x['epoch'], x['validation'][metric]) for x in lines if metric in x.get('validation', ())
+    ]
+    if trained or validated:
+      curves.append(demo_page.Curve(f'{network} network: {title}', trained, validated))
+  return curves
+
+
+def judge(evaluation: dict) -> tuple[demo_page.Table, bool, str]:
+  """The table of results, whether they beat the baselines, and that in words."""
+  ours, trivial = (evaluation[who]['total'] for who in ('networks', 'baselines'))
+
+  def text(metric, value):
+    if value is None:
+      return 'none'
+    return f'{value:.3f}' if metric == 'iou' else f'{value:.2f} dB'
+
+  better = [
+    ours[m] is not None and trivial[m] is not None and ours[m] > trivial[m] for m, *_ in MEASURES
+  ]
+  table = demo_page.Table(
+    [f'{title} (against the {baseline})' for _, title, baseline in MEASURES],
+    [
+      (label, [text(m, numbers[m]) for m, *_ in MEASURES])
+      for label, numbers in (('networks', ours), ('baseline', trivial))
+    ],
+    [0 if b else 1 for b in better],
+  )
+  said = ', '.join(
+    f'{title} {text(m, ours[m])} ({"above" if b else "NOT above"} {text(m, trivial[m])} of the'
+    f' {baseline})'
+    for (m, title, baseline), b in zip(MEASURES, better, strict=True)
+  )
+  start = 'Better than the baselines' if all(better) else 'NOT better than the baselines'
+  views = f'{evaluation["models"]} held-out objects, {evaluation["views"]} views each'
+  return table, all(better), f'{start} on {views}: {said}.'
+
+
+def about(dataset: Dataset, f: flags.FlagValues) -> str:
+  """What a reader must know to judge the page."""
+  splits = [m.split for m in dataset.manifest.models]
+  return (
+    f'{splits.count("train")} made-up {f.category}s to learn from, {splits.count("test")} held out;'
+    f' {f.shape_epochs} and {f.color_epochs} epochs of training (one view an object and epoch),'
+    ' all from nothing and on this computer. It shows that the whole chain works and that the'
+    ' networks learn; it is no measure of what they reach: the paper trains 500 epochs on 300 to'
+    ' 1800 ShapeNet models. No held-out object was seen in training, and the examples are the'
+    ' first of them, not the best.'
+  )
+
+
+def seconds_file(output: str) -> str:
+  return os.path.join(output, 'seconds.json')
+
+
+def read_bytes(path: str) -> bytes:
+  with open(path, 'rb') as f:
+    return f.read()
+
+
+def read_json(path: str):
+  with open(path) as f:
+    return json.load(f)
+
+
+if __name__ == '__main__':
+  define_flags(flags.FLAGS)
+  errors.run(main)
