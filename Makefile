@@ -1,0 +1,30 @@
+# `make demo` shows the whole system at work, `make test` checks it. Both set themselves up.
+
+PYTHON ?= python3.11
+VENV := .venv
+READY := $(VENV)/ready
+
+# Big buffers in huge pages: about a quarter off a training step on Linux. Needed nowhere.
+export GLIBC_TUNABLES ?= glibc.malloc.hugetlb=1
+
+.PHONY: demo test test-all clean
+
+demo: $(READY)
+	$(VENV)/bin/python -m experiments.demo --output=demo
+
+test: $(READY)
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/python -m pytest -q
+
+test-all: $(READY)
+	$(VENV)/bin/python -m pytest -q -m ''
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) demo
