@@ -127,11 +127,13 @@ def normalize(mesh: TexturedMesh) -> TexturedMesh:
 def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False) -> TexturedMesh:
   """All triangles of a scene, in the scene's frame, with their colours.
 
-  Material, vertex and face colours and the texture multiply, as MTL and glTF say, with one
-  exception: a material that is black (`Kd 0 0 0`, what exporters write beside `map_Kd`) or has no
-  colour of its own leaves the texture or the vertex colours alone. A texture is real when it was
-  read from a file or is larger than 2x2 pixels: trimesh puts a 2x2 one of its own where there is
-  none. A texture without texture coordinates is taken as its mean colour.
+  Material, vertex and face colours and the texture multiply in glTF. In other files a texture
+  stands alone: MTL's text says that `Kd` multiplies `map_Kd`, but exporters write there what the
+  texture replaces (0 0 0, a grey, the texture's mean), and the product is far too dark. A black
+  material leaves vertex colours alone likewise.
+
+  A texture is real when it was read from a file or is larger than 2x2 pixels: trimesh puts a 2x2
+  one of its own where there is none. Without texture coordinates it is taken as its mean colour.
 
   Faces without area and faces of invisible materials are left out.
 
@@ -254,15 +256,17 @@ def _material(material, gltf):
     color = getattr(material, 'diffuse', None)
     color = None if color is None or np.array_equal(color, DEFAULT_COLOR) else _as_rgba(color)
     alpha = _dissolve(getattr(material, 'kwargs', {}))
-    if color is not None and alpha is not None:
-      color[3] = alpha
+    if color is not None:
+      color[3] *= alpha
   if image is None or (image.format is None and max(image.size) <= 2):
     return color, None
+  if not gltf and color is not None:
+    color[:3] = 1
   return color, (image, cutoff)
 
 
 def _dissolve(mtl):
-  """The alpha of an MTL material, from `d` or its complement `Tr`; None where neither is given.
+  """The alpha of an MTL material, from `d` or its complement `Tr`; 1 where neither is given.
 
   `Tr 1` is ignored: some programs mean opaque by it.
   """
@@ -271,7 +275,7 @@ def _dissolve(mtl):
       return float(np.clip(alpha(float(mtl[name][-1])), 0, 1))
     except (KeyError, IndexError, ValueError):
       continue
-  return None
+  return 1.0
 
 
 def _pixels(image: PIL.Image.Image, cutoff: float | None) -> np.ndarray:

@@ -78,14 +78,24 @@ def test_bilinear_at_texel_centres_between_them_and_across_the_seam():
   assert_color(color_at(mesh, 0.0, 0.0), [127.5, 127.5, 127.5])
 
 
-def test_material_color_multiplies_the_texture():
-  mesh = from_trimesh(textured(image(FOUR), diffuse=[0.2, 0.4, 1.0]))
-  assert_color(color_at(mesh, 0.75, 0.25), [51, 102, 255])
+@pytest.mark.parametrize('diffuse', [None, [0.0, 0.0, 0.0], [0.2, 0.4, 1.0]])
+def test_texture_stands_alone_beside_a_material_color(diffuse):
+  mesh = from_trimesh(textured(image(FOUR), diffuse=diffuse, d=['0.5']))
+  assert_color(color_at(mesh, 0.75, 0.25), WHITE[:3])
+  assert color_at(mesh, 0.75, 0.25)[3] == (255 if diffuse is None else 127.5)
 
 
-@pytest.mark.parametrize('diffuse', [None, [0.0, 0.0, 0.0]])
-def test_black_or_missing_material_color_leaves_the_texture_alone(diffuse):
-  assert_color(color_at(from_trimesh(textured(image(FOUR), diffuse=diffuse)), 0.75, 0.25), WHITE)
+def test_gltf_factor_multiplies_the_texture():
+  mesh = from_trimesh(pbr(baseColorTexture=image(FOUR), baseColorFactor=[1.0, 0.0, 1.0]), gltf=True)
+  assert_color(color_at(mesh, 0.75, 0.25), [255, 0, 255])
+
+
+@pytest.mark.parametrize(('diffuse', 'factor'), [([0.0, 0.0, 0.0], 1), ([0.2, 0.2, 0.2], 0.2)])
+def test_vertex_colors_multiply_a_material_color_unless_that_is_black(diffuse, factor):
+  mesh = textured(diffuse=diffuse)
+  mesh.vertex_attributes['color'] = np.array([[1.0, 0.5, 0.0]] * 4)
+  expected = factor * np.array([255, 127.5, 0])
+  assert_color(color_at(from_trimesh(mesh), 0.75, 0.25), expected)
 
 
 def test_material_color_without_texture_and_black_is_black():

@@ -71,7 +71,7 @@ def write_obj(folder, mtl, *, name='quad.obj', mtl_name='quad.mtl', material='wo
 
 def test_obj_with_texture(tmp_path):
   picture().save(tmp_path / 'a.png')
-  assert_picture(load(write_obj(tmp_path, 'newmtl wood\nKd 0 0 0\nmap_Kd a.png\n')))
+  assert_picture(load(write_obj(tmp_path, 'newmtl wood\nKd 0.5 0.2 0.1\nmap_Kd a.png\n')))
 
 
 def test_obj_with_odd_names(tmp_path):
