@@ -26,8 +26,8 @@ MAX_LAYERS = 16
 
 # Soft shading: even light from everywhere, and a square lamp above, at the object's front left.
 # Radiance seen of a white surface that faces the lamp is about 1.
-AMBIENT_RADIANCE = 0.4
-LAMP_RADIANCE = 14.0
+AMBIENT_RADIANCE = 0.5
+LAMP_RADIANCE = 12.0
 LAMP_POSITION = (-2.0, 4.0, 3.0)
 LAMP_HALF_SIZE = 1.0
 LIT_SAMPLES = 36  # rays a pixel, a square for the sampler
