@@ -1,0 +1,232 @@
+"""The evaluation program, on small networks with random parameters."""
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+import synthetic
+from absl import flags
+
+from cvn import baselines, checkpoint, dataset, metrics, reconstruct
+from cvn.errors import UserError
+from cvn.grid import ColoredVoxels
+from cvn.networks import ColorNetwork, ShapeNetwork
+from experiments import evaluate as program
+
+IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
+
+
+class _State(NamedTuple):
+  params: Any
+  batch_stats: Any
+  opt_state: Any
+  step: Any
+
+
+def _save(folder, kind, network):
+  """A workdir with a network of random parameters."""
+  image = np.zeros((1, network.image_size, network.image_size, 3), np.float32)
+  shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), image, train=False))
+  rng = np.random.default_rng(len(kind))
+
+  def draw(path, x):
+    noise = rng.standard_normal(x.shape, np.float32)
+    return 1 + 0.1 * abs(noise) if path[-1].key in ('var', 'scale') else 0.1 * noise
+
+  variables = jax.tree_util.tree_map_with_path(draw, shapes)
+  checkpoint.start(folder, {'network': kind})
+  checkpoint.save(folder, _State(**variables, opt_state={}, step=np.zeros((), np.int32)), {})
+  return folder
+
+
+@pytest.fixture(scope='module')
+def given(tmp_path_factory):
+  """The flags of a data set of two categories and of two workdirs."""
+  root = tmp_path_factory.mktemp('given')
+  synthetic.make_dataset(
+    root / 'data',
+    12,
+    splits=('train', 'train', 'train', 'train', 'test', 'test'),
+    categories=('ball', 'egg'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+    missing=(10,),
+  )
+  return {
+    'data': str(root / 'data'),
+    'shape': _save(str(root / 'shape'), 'shape', ShapeNetwork(IMAGE, GRID)),
+    'color': _save(str(root / 'color'), 'color', ColorNetwork(IMAGE, GRID)),
+  }
+
+
+def _run(*arguments, **named):
+  """The program's exit status, within this process."""
+  f = flags.FlagValues()
+  program.define_flags(f)
+  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
+  return program.run(f)
+
+
+def _evaluate(tmp_path, *arguments, **named):
+  path = tmp_path / 'new' / 'report.json'
+  assert _run(*arguments, json=path, **named) == 0
+  with open(path) as f:
+    return json.load(f)
+
+
+def _true(record):
+  occupancy, color = np.zeros((GRID,) * 3, bool), np.zeros((GRID,) * 3 + (3,))
+  at = tuple(record.surface_index.T)
+  occupancy[at], color[at] = True, record.surface_color / 255
+  return ColoredVoxels(occupancy, color)
+
+
+def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
+  report = _evaluate(tmp_path, '--baselines', alpha=0.5, **given)
+  assert (report['models'], report['views'], report['alpha']) == (3, 3, 0.5)
+  opened = dataset.open_dataset(given['data'])
+  shape = checkpoint.load_network(given['shape'], 'shape')[1]
+  color = checkpoint.load_network(given['color'], 'color')[1]
+  rows = {4: 'ball', 5: 'egg', 11: 'egg'}  # 10 was never made
+  scores = np.zeros((3, 3, 3))
+  beaten = np.zeros((3, 3, 3))
+  for n, row in enumerate(rows):
+    record = dataset.read_record(opened, row)
+    true = _true(record)
+    own = [r for r in (0, 1, 2, 3, 6, 7, 8, 9) if r % 2 == row % 2]
+    trained = [dataset.read_record(opened, r) for r in own]
+    mean_shape = baselines.mean_shape([t.surface_index for t in trained], GRID)
+    mean_color = np.concatenate([t.surface_color for t in trained]).mean(0) / 255
+    views = record.views.astype(np.float32) / 255
+    probability = np.asarray(reconstruct.estimate_shape(shape, views, grid_size=GRID))
+    colors = reconstruct.estimate_color(color, views, alpha=0.5, grid_size=GRID)
+    for v in range(3):
+      voxels = ColoredVoxels(probability[v] >= 0.8, np.asarray(colors.blended[v]))
+      assert voxels.occupancy.any()
+      iou = metrics.iou(probability[v] > 0.8, true.occupancy)
+      scores[:, n, v] = (iou, *metrics.surface_psnr(voxels, true))
+      plain = voxels._replace(color=np.broadcast_to(mean_color, voxels.color.shape))
+      iou = metrics.iou(mean_shape, true.occupancy)
+      beaten[:, n, v] = (iou, *metrics.surface_psnr(plain, true))
+  for who, x in (('networks', scores), ('baselines', beaten)):
+    found = report[who]
+    for k, name in enumerate(program.METRICS):
+      near = pytest.approx
+      assert found['total'][name] == near(x[k].mean(), rel=1e-4)
+      assert found['by_view']['90'][name] == near(x[k, :, 1].mean(), rel=1e-4)
+      assert found['by_category']['ball'][name] == near(x[k, 0].mean(), rel=1e-4)
+      assert found['by_category']['egg'][name] == near(x[k, 1:].mean(), rel=1e-4)
+      both = (x[k, 0].mean() + x[k, 1:].mean()) / 2
+      assert found['mean_of_categories'][name] == near(both, rel=1e-4)
+    assert list(found['by_view']) == ['0', '90', '200']
+    assert found['views_without_voxels'] == 0
+  lines = capsys.readouterr().out.splitlines()
+  assert lines[0] == '3 models of the split test, 3 views each'
+  assert [line.split()[0] for line in lines[2:9]] == [
+    'all',
+    'by',
+    'ball',
+    'egg',
+    '0°',
+    '90°',
+    '200°',
+  ]
+  cells = lines[2].split()[1:]
+  assert cells[0] == f'{scores[0].mean():.3f}' and cells[1] == f'{beaten[0].mean():.3f}'
+
+
+def test_shape_alone_has_no_psnr(tmp_path, given, capsys):
+  report = _evaluate(tmp_path, data=given['data'], shape=given['shape'])
+  assert report['networks']['total']['psnr_rgb'] is None
+  assert report['networks']['total']['iou'] > 0 and report['color'] is None
+  assert 'baselines' not in report
+  assert 'PSNR' not in capsys.readouterr().out
+
+
+def test_color_alone_is_judged_on_the_true_shapes(tmp_path, given, capsys):
+  report = _evaluate(tmp_path, data=given['data'], color=given['color'], category='ball', alpha=0.5)
+  assert 'true shapes' in capsys.readouterr().out
+  assert report['models'] == 1 and report['networks']['total']['iou'] is None
+  record = dataset.read_record(dataset.open_dataset(given['data']), 4)
+  color = checkpoint.load_network(given['color'], 'color')[1]
+  blended = reconstruct.estimate_color(
+    color, record.views.astype(np.float32) / 255, alpha=0.5, grid_size=GRID
+  ).blended
+  true = _true(record)
+  expected = [metrics.surface_psnr(true._replace(color=np.asarray(b)), true).rgb for b in blended]
+  assert report['networks']['total']['psnr_rgb'] == pytest.approx(np.mean(expected), rel=1e-4)
+
+
+def test_views_without_voxels_are_counted_and_left_out(tmp_path, given, capsys, monkeypatch):
+  def nothing_at_90(variables, views, **_):
+    result = np.ones((len(views),) + (GRID,) * 3, np.float32)
+    result[1] = 0
+    return result
+
+  monkeypatch.setattr(reconstruct, 'estimate_shape', nothing_at_90)
+  report = _evaluate(tmp_path, alpha=0.5, **given)
+  found = report['networks']
+  assert found['views_without_voxels'] == 3
+  assert found['by_view']['90'] == {'iou': 0, 'psnr_rgb': None, 'psnr_ycbcr': None}
+  others = [found['by_view'][a]['psnr_rgb'] for a in ('0', '200')]
+  assert found['total']['psnr_rgb'] == pytest.approx(np.mean(others))
+  text = capsys.readouterr().out
+  assert '3 views have no occupied voxel' in text and '90°' in text
+
+
+def test_means_of_nothing_and_of_infinities():
+  assert program.mean(np.array([1.0, np.nan, 3.0])) == 2
+  assert program.mean(np.array([np.nan])) is None
+  assert program.mean(np.array([1.0, np.inf])) is None
+
+
+@pytest.mark.parametrize(
+  'name, value', [('alpha', 0), ('alpha', 'nan'), ('alpha', 2), ('split', 'all')]
+)
+def test_flags_out_of_range(name, value):
+  with pytest.raises(flags.Error, match=name):
+    _run(data='a', shape='a', **{name: value})
+
+
+def test_bad_input_is_named(tmp_path, given):
+  with pytest.raises(UserError, match='give --shape'):
+    _run(data=given['data'])
+  with pytest.raises(UserError, match='no data set'):
+    _run(**given | {'data': tmp_path})
+  with pytest.raises(UserError, match='no category'):
+    _run(category='car', **given)
+  with pytest.raises(UserError, match='no finished model in the split val'):
+    _run(split='val', **given)
+  with pytest.raises(UserError, match='holds a shape network'):
+    _run(**given | {'color': given['shape']})
+  with pytest.raises(UserError, match='cannot write'):
+    _run(json=os.path.join(given['data'], 'manifest.json', 'x.json'), **given)
+
+
+def test_data_of_another_size_is_refused(tmp_path, given):
+  synthetic.make_dataset(tmp_path / 'big', 1, splits=('test',), image_size=64, grid_size=32)
+  with pytest.raises(UserError, match=r'64-pixel views and a grid of 32'):
+    _run(**given | {'data': tmp_path / 'big'})
+
+
+def test_baselines_need_training_models(tmp_path, given):
+  synthetic.make_dataset(
+    tmp_path / 'few', 1, splits=('test',), image_size=IMAGE, grid_size=GRID, azimuths=(0,)
+  )
+  report = tmp_path / 'report.json'
+  with pytest.raises(UserError, match='no finished ball in the split train'):
+    _run('--baselines', json=report, **given | {'data': tmp_path / 'few'})
+  assert os.listdir(tmp_path) == ['few']
+
+
+def test_program_ends_in_one_line():
+  command = [sys.executable, '-m', 'experiments.evaluate', '--data=/nowhere', '--shape=/nowhere']
+  done = subprocess.run(command, capture_output=True, text=True)
+  assert done.returncode == 1
+  assert done.stderr.startswith('error: /nowhere') and done.stderr.count('\n') == 1
