@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-from absl import app
+from absl import app, flags, logging
 
 
 class UserError(Exception):
@@ -16,6 +16,8 @@ def run(main: Callable[[list[str]], int | None]) -> None:
   def guarded(argv):
     if len(argv) > 1:
       raise app.UsageError(f'unexpected argument: {argv[1]!r} (flags look like --name=value)')
+    if not flags.FLAGS['verbosity'].present:
+      logging.set_verbosity(logging.WARNING)  # absl's default tells of every backend not found
     try:
       return main(argv)
     except UserError as e:

@@ -67,13 +67,16 @@ def run(f: flags.FlagValues) -> int:
   return int(failed > 0)
 
 
+def is_good(line: Line) -> bool:
+  """Whether the quantity is within its tolerance; NaN is not."""
+  return bool(line.error <= line.tolerance)
+
+
 def print_line(group: str, line: Line) -> bool:
   """Prints one line; returns whether the quantity is within its tolerance."""
-  good = bool(line.error <= line.tolerance)  # NaN is not
-  verdict = 'ok' if good else 'FAIL'
-  print(
-    f'{group + "/" + line.name:<62} {line.error:8.2e} {line.tolerance:8.2e} {verdict}', flush=True
-  )
+  good = is_good(line)
+  numbers = f'{line.error:8.2e} {line.tolerance:8.2e}'
+  print(f'{group + "/" + line.name:<62} {numbers} {"ok" if good else "FAIL"}', flush=True)
   return good
 
 

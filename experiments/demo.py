@@ -251,9 +251,9 @@ def judge(evaluation: dict) -> tuple[demo_page.Table, bool, str]:
 
 def about(dataset: Dataset, f: flags.FlagValues) -> str:
   """What a reader must know to judge the page."""
-  splits = [m.split for m in dataset.manifest.models]
+  train, test = (len(data.select_rows(dataset, split)) for split in ('train', 'test'))
   return (
-    f'{splits.count("train")} made-up {f.category}s to learn from, {splits.count("test")} held out;'
+    f'{train} made-up {f.category}s to learn from, {test} held out;'
     f' {f.shape_epochs} and {f.color_epochs} epochs of training (one view an object and epoch),'
     ' all from nothing and on this computer. It shows that the whole chain works and that the'
     ' networks learn; it is no measure of what they reach: the paper trains 500 epochs on 300 to'
