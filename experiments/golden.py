@@ -105,11 +105,12 @@ def read(path: str, spec: dict[str, str] | None) -> dict[str, np.ndarray]:
     UserError: the file is missing or garbled, or an array is missing or of another shape.
   """
   try:
-    with np.load(path) as f:
+    # Opened here: of a garbled file numpy leaves its own handle open.
+    with open(path, 'rb') as raw, np.load(raw) as f:
       arrays = {k: f[k] for k in f.files}
   except FileNotFoundError as e:
     raise UserError(f'{path} is missing') from e
-  except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as e:
+  except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as e:
     raise UserError(f'{path} is no readable .npz file: {e}') from e
   if spec is None:
     found = list_views(arrays)

@@ -103,7 +103,7 @@ def test_a_failure_is_printed_and_is_the_exit_status(tmp_path, monkeypatch, caps
 
 
 def _small(seed=0, steps=2):
-  """Golden values of a network that fits in a test: weight [2, 3] and bias [3], a quadratic loss."""
+  """Golden values of one layer: weight [2, 3] and bias [3]."""
   names = np.array(['Encoding/conv1/weights', 'Encoding/conv1/biases'])
   return {
     'seed': np.int64(seed),
@@ -271,6 +271,10 @@ def test_missing_and_misshapen_arrays_are_named(tmp_path, name, spec):
 def test_files_of_objects_and_of_no_view_are_refused(tmp_path):
   path = str(tmp_path / 'metrics.npz')
   np.savez(path, m0_gt_color=np.array([{}], dtype=object))
+  with pytest.raises(UserError, match='no readable'):
+    golden.read(path, None)
+  with open(path, 'wb') as f:
+    np.save(f, np.zeros(3))
   with pytest.raises(UserError, match='no readable'):
     golden.read(path, None)
   np.savez(path, m0_gt_color=np.zeros(3))
