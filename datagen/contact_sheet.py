@@ -13,7 +13,7 @@ from cvn.dataset import Dataset, Record, read_record, surface_counts
 from cvn.figures import draw_voxels, flow_color_code, grid_of_images, over
 from cvn.grid import ColoredVoxels
 
-MODELS = 12
+MODELS = 8
 PAIRS = (1, 4)  # views shown beside the voxels from the same side: 30 and 120 degrees
 FLOW_VIEW = 1  # the view whose flow is shown
 ELEVATION = 20  # degrees, of the voxels seen from behind

@@ -6,7 +6,6 @@ the data set, and what it writes depends on the job alone, not on the other work
 """
 
 import os
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -160,4 +159,6 @@ def process_executor(workers: int) -> Executor:
 
 def _start_worker() -> None:
   drjit.set_thread_count(1)
-  signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+  # A terminal sends its interrupt to the whole group of processes. Mitsuba would end its rendering
+  # in the middle, and half a view would count as one: the parent alone decides when to stop.
+  os.setpgrp()
