@@ -17,29 +17,32 @@ _glorot = nn.initializers.glorot_uniform()
 
 
 class Norm(nn.Module):
-  """Batch normalisation over all axes but the last, then the activation."""
+  """Batch normalisation over all axes but the last, then the activation.
+
+  A bias in front of it, which the layers have, only moves the mean: it is not added in training.
+  """
 
   activation: Activation
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+  def __call__(self, x: jax.Array, bias: jax.Array, train: bool) -> jax.Array:
     shape = x.shape[-1:]
     scale = self.param('scale', nn.initializers.ones, shape)
     offset = self.param('bias', nn.initializers.zeros, shape)
     mean = self.variable('batch_stats', 'mean', jnp.zeros, shape)
     variance = self.variable('batch_stats', 'var', jnp.ones, shape)
     if not train:
-      return affine(x, mean.value, variance.value, scale, offset, self.activation)
+      return affine(x, mean.value - bias, variance.value, scale, offset, self.activation)
     y, batch_mean, batch_variance = normalize(x, scale, offset, self.activation)
     if not self.is_initializing():
-      mean.value, variance.value = batch_mean, batch_variance
+      mean.value, variance.value = batch_mean + bias, batch_variance
     return y
 
 
 def _finish(module: nn.Module, x, activation, train):
   """Bias, normalisation and activation, in `module`'s scope."""
-  bias = module.param('bias', nn.initializers.zeros, (x.shape[-1],))
-  return Norm(activation, name='norm')(x + bias.reshape((1,) * (x.ndim - 1) + (-1,)), train)
+  bias = module.param('bias', nn.initializers.zeros, x.shape[-1:])
+  return Norm(activation, name='norm')(x, bias, train)
 
 
 class Dense(nn.Module):
