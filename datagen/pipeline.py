@@ -6,12 +6,14 @@ the data set, and what it writes depends on the job alone, not on the other work
 """
 
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures import process as process_pool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for_process
 from typing import NamedTuple
 
 import drjit
@@ -65,15 +67,16 @@ def make_record(
   mesh_lib.check(mesh)
   mesh = mesh_lib.normalize(mesh)
   cameras = [camera_at(a, image_size=image_size) for a in azimuths]
-  views = render(mesh, cameras, image_size=image_size, shading=shading)
-  for azimuth, depth in zip(azimuths, views.depth, strict=True):
+  flat, depths = render(mesh, cameras, image_size=image_size)
+  for azimuth, depth in zip(azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
       raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
   index, color = voxelize(mesh, grid_size)
-  flow, visible, stats = target_flows(
-    index, color, views.rgba, views.depth, cameras, grid_size=grid_size
-  )
-  return Record(views.rgba, index, color, visible, flow), stats
+  flow, visible, stats = target_flows(index, color, flat, depths, cameras, grid_size=grid_size)
+  # Flows are matched by albedo under any light: light has no part in which point is which.
+  lit = shading != 'flat'
+  views = render(mesh, cameras, image_size=image_size, shading=shading).rgba if lit else flat
+  return Record(views, index, color, visible, flow), stats
 
 
 def run_job(job: Job) -> Outcome:
@@ -162,3 +165,10 @@ def _start_worker() -> None:
   # A terminal sends its interrupt to the whole group of processes. Mitsuba would end its rendering
   # in the middle, and half a view would count as one: the parent alone decides when to stop.
   os.setpgrp()
+  threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+  """A parent that is killed takes no leave of its workers, who would wait for jobs forever."""
+  wait_for_process([parent_process().sentinel])
+  os._exit(1)

@@ -217,6 +217,17 @@ def test_a_record_of_any_size(meshes):
     make_record(mesh._replace(vertices=mesh.vertices * np.nan))
 
 
+def test_light_does_not_move_flows(meshes):
+  mesh = load(SourceModel('a', 'box', str(meshes / 'a.ply')))
+  flat, lit = (
+    make_record(mesh, azimuths=(0, 30), image_size=32, grid_size=16, shading=s)[0]
+    for s in ('flat', 'lit')
+  )
+  np.testing.assert_array_equal(lit.flow, flat.flow)
+  np.testing.assert_array_equal(lit.visible, flat.visible)
+  assert (lit.views != flat.views).any()
+
+
 def test_what_no_pixel_shows_is_refused(meshes):
   mesh = load(SourceModel('a', 'box', str(meshes / 'a.ply')))
   needle = mesh._replace(vertices=mesh.vertices * [1e-4, 1, 1e-4])
