@@ -19,8 +19,9 @@ import trimesh
 from PIL import Image
 
 from cvn import grid
+from cvn.boundary import find_faces
 from cvn.errors import UserError
-from cvn.figures import exposed, to_uint8
+from cvn.figures import to_uint8
 from cvn.files import atomic_write
 
 _NEAREST = 9728  # glTF's (and OpenGL's) number for the filter
@@ -52,21 +53,10 @@ def surface_mesh(voxels: grid.ColoredVoxels) -> SurfaceMesh:
   color_index = np.zeros(occupancy.shape, int)
   color_index[occupancy] = color_of.ravel()
 
-  corners, quad_colors = [], []  # [Q, 4, 3] lattice points, [Q]
-  for axis in range(3):
-    # Around the face, counter-clockwise seen from the axis's positive end.
-    ring = np.zeros((4, 3), int)
-    ring[:, (axis + 1) % 3] = (0, 1, 1, 0)
-    ring[:, (axis + 2) % 3] = (0, 0, 1, 1)
-    for sign in (-1, 1):
-      index = np.argwhere(exposed(occupancy, axis, sign))
-      face = ring[::sign].copy()
-      face[:, axis] = (sign + 1) // 2
-      corners.append(index[:, None, :] + face)
-      quad_colors.append(color_index[tuple(index.T)])
-  corners, quad_colors = np.concatenate(corners), np.concatenate(quad_colors)
+  faces = find_faces(occupancy)
+  quad_colors = color_index[tuple(faces.voxel.T)]
 
-  key = np.ravel_multi_index(np.moveaxis(corners, -1, 0), (n + 1,) * 3)
+  key = np.ravel_multi_index(np.moveaxis(faces.corners, -1, 0), (n + 1,) * 3)
   key = key * len(colors) + quad_colors[:, None]
   unique, quads = np.unique(key, return_inverse=True)
   lattice = np.stack(np.unravel_index(unique // len(colors), (n + 1,) * 3), -1)

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from cvn import camera, grid
+from cvn.boundary import Faces, find_faces
 
 WHITE = (255, 255, 255)
 SUPERSAMPLING = 2  # pixels are averaged over 2 x 2 samples
@@ -78,46 +79,36 @@ def draw_voxels(
   occupancy = np.asarray(voxels.occupancy, bool)
   color = np.asarray(voxels.color, np.float32)
   n, samples = len(occupancy), size * SUPERSAMPLING
-  view, half_width = _raised_camera(azimuth, elevation, samples)
+  view = _raised_camera(azimuth, elevation, samples)
   eye = -view.R.T @ view.T
 
-  # Every camera-facing face between an occupied and an empty voxel becomes a lattice of points, so
-  # dense that each pixel it covers gets one: a square cell is hit for spacings up to 1 / sqrt(2).
-  nearest = camera.DISTANCE - np.sqrt(3) / 2
-  steps = int(np.ceil(np.sqrt(2) * samples / (2 * half_width) / n / nearest))
-  lattice = (np.stack(np.meshgrid(*[np.arange(steps)] * 2), -1).reshape(-1, 2) + 0.5) / steps
+  faces = find_faces(occupancy)
+  to_plane = (faces.corners[:, 0] / n - 0.5 - eye)[np.arange(len(faces.axis)), faces.axis]
+  faces = Faces(*(x[faces.sign * to_plane < 0] for x in faces))
+  # Painter's order: of cubes that fill space, a ray meets the one with the nearer centre first.
+  distance = np.linalg.norm(grid.index_to_world(faces.voxel, size=n) - eye, axis=-1)
+  faces = Faces(*(x[np.argsort(-distance)] for x in faces))
   light = np.array(LIGHT) / np.linalg.norm(LIGHT) @ (view.R * [[1], [-1], [-1]])
+  brightness = AMBIENT + (1 - AMBIENT) * np.maximum(0, faces.sign * light[faces.axis])
+  colors = brightness[:, None] * color[tuple(faces.voxel.T)]
 
-  points, colors = [], []
-  for axis in range(3):
-    for sign in (-1, 1):
-      index = np.argwhere(exposed(occupancy, axis, sign))
-      center = grid.index_to_world(index, size=n)
-      plane = center[:, axis] + sign * 0.5 / n
-      index = index[sign * (eye[axis] - plane) > 0]
-      offset = np.insert(lattice, axis, (sign + 1) / 2, axis=1)  # within the voxel, in [0, 1]
-      corner = (index[:, None, :] + offset) / n - 0.5
-      brightness = AMBIENT + (1 - AMBIENT) * max(0.0, sign * light[axis])
-      points.append(corner.reshape(-1, 3))
-      colors.append(np.repeat(brightness * color[tuple(index.T)], len(lattice), axis=0))
-  pixel, depth = camera.project(np.concatenate(points), view)
-
-  # Painter's order on points: of those that fall on one pixel, the last one written is the nearest.
-  order = np.argsort(-depth)
-  column, row = np.floor(pixel[order]).astype(int).T
+  # A face becomes a lattice of points, so dense that each pixel it covers gets one: a square cell
+  # is hit for spacings up to 1 / sqrt(2).
+  pixel, _ = camera.project(faces.corners / n - 0.5, view)
+  edges = np.linalg.norm(pixel - np.roll(pixel, 1, axis=1), axis=-1)
+  steps = int(np.ceil(np.sqrt(2) * edges.max(initial=1)))
+  x, y = (v.ravel() for v in np.meshgrid(*[(np.arange(steps) + 0.5) / steps] * 2))
+  weights = np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], -1)
+  column, row = np.moveaxis(weights @ pixel, -1, 0).astype(int)  # [F, points]
   inside = (column >= 0) & (column < samples) & (row >= 0) & (row < samples)
   image = np.empty((samples, samples, 3), np.float32)
   image[:] = np.asarray(background, np.float32) / 255
-  image[row[inside], column[inside]] = np.concatenate(colors)[order][inside]
+  owner = np.full((samples, samples), -1)
+  face = np.broadcast_to(np.arange(len(colors))[:, None], column.shape)
+  owner[row[inside], column[inside]] = face[inside]  # the last one written stays
+  image[owner >= 0] = colors[owner[owner >= 0]]
   image = image.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean((1, 3))
   return to_uint8(image)
-
-
-def exposed(occupancy: np.ndarray, axis: int, sign: int) -> np.ndarray:
-  """The occupied voxels [X, Y, Z] whose neighbour along `axis`, in direction `sign`, is empty."""
-  padded = np.pad(occupancy, 1)
-  neighbour = np.roll(padded, -sign, axis)[1:-1, 1:-1, 1:-1]
-  return occupancy & ~neighbour
 
 
 def to_uint8(image) -> np.ndarray:
@@ -232,8 +223,8 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
   return np.concatenate([grid_of_images([list(r.values())], column_titles=list(r)) for r in rows])
 
 
-def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.Camera, float]:
-  """The camera of cvn.camera raised by `elevation` degrees, and its half angle's tangent."""
+def _raised_camera(azimuth: float, elevation: float, size: int) -> camera.Camera:
+  """The camera of cvn.camera raised by `elevation` degrees, its angle wide enough to hold the cube."""
   level = camera.camera_at(azimuth, image_size=size)
   e = np.deg2rad(elevation)
   c, s = np.cos(e), np.sin(e)
@@ -246,4 +237,4 @@ def _raised_camera(azimuth: float, elevation: float, size: int) -> tuple[camera.
   half_width = max(camera.HALF_WIDTH, MARGIN * bound)
   K = level.K.copy()
   K[0, 0] = K[1, 1] = 0.5 * size / half_width
-  return camera.Camera(K, tilt @ level.R, level.T), half_width
+  return camera.Camera(K, tilt @ level.R, level.T)

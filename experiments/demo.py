@@ -191,8 +191,9 @@ def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
   truth.occupancy[at] = True
   truth.color[at] = record.surface_color / 255
   azimuths = (figures.PANEL_AZIMUTH, *figures.RESULT_AZIMUTHS)
+  blank = np.full((192, 192, 3), 255, np.uint8)  # so that the truth stands below the result
   drawn = figures.grid_of_images(
-    [[None, *(figures.draw_voxels(truth, a, size=192) for a in azimuths)]],
+    [[blank, *(figures.draw_voxels(truth, a, size=192) for a in azimuths)]],
     column_titles=['', *(f'truth from {a}°' for a in azimuths)],
   )
   return demo_page.Example(
@@ -256,8 +257,8 @@ def about(dataset: Dataset, f: flags.FlagValues) -> str:
     f'{train} made-up {f.category}s to learn from, {test} held out;'
     f' {f.shape_epochs} and {f.color_epochs} epochs of training (one view an object and epoch),'
     ' all from nothing and on this computer. It shows that the whole chain works and that the'
-    ' networks learn; it is no measure of what they reach: the paper trains 500 epochs on 300 to'
-    ' 1800 ShapeNet models. No held-out object was seen in training, and the examples are the'
+    ' networks learn; it is no measure of what they reach: the paper trains 500 epochs on up to'
+    ' 1777 models a category. No held-out object was seen in training, and the examples are the'
     ' first of them, not the best.'
   )
 

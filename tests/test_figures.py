@@ -98,14 +98,6 @@ def test_nothing_to_draw_is_background():
   np.testing.assert_array_equal(image, np.broadcast_to(np.uint8([1, 2, 3]), (8, 8, 3)))
 
 
-def test_exposed_is_the_boundary_in_one_direction():
-  occupancy = np.zeros((3, 3, 3), bool)
-  occupancy[1:, 0, 0] = True
-  np.testing.assert_array_equal(np.argwhere(figures.exposed(occupancy, 0, -1)), [[1, 0, 0]])
-  np.testing.assert_array_equal(np.argwhere(figures.exposed(occupancy, 0, 1)), [[2, 0, 0]])
-  assert figures.exposed(occupancy, 1, -1).sum() == 2
-
-
 def test_grid_places_images_and_skips_empty_places():
   red, green = (np.full((4, 6, 3), c, np.uint8) for c in ([255, 0, 0], [0, 255, 0]))
   image = figures.grid_of_images([[red, None], [green, red]], gap=2, background=(9, 9, 9))
