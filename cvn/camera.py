@@ -56,6 +56,6 @@ def project(points, camera: Camera):
     (pixel, depth): continuous pixel coordinates [..., 2] as (right, down), and the distance along
     the viewing axis [...] in world units.
   """
-  p = points @ camera.R.T + camera.T
+  p = points @ camera.R.T + camera.T.reshape((1,) * (points.ndim - 1) + (3,))
   q = p @ camera.K.T
   return q[..., :2] / q[..., 2:], p[..., 2]

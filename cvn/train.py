@@ -16,8 +16,8 @@ import optax
 from cvn import blending, losses, metrics
 from cvn.networks import ColorNetwork, ShapeNetwork
 from cvn.recipe import Recipe
+from cvn.reconstruct import OCCUPIED
 
-OCCUPIED = 0.8  # a voxel counts as occupied above this probability, in the authors' IoU
 NETWORKS = {'shape': ShapeNetwork(), 'color': ColorNetwork()}
 
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-8)
