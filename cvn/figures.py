@@ -224,7 +224,7 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
 
 
 def _raised_camera(azimuth: float, elevation: float, size: int) -> camera.Camera:
-  """The camera of cvn.camera raised by `elevation` degrees, its angle wide enough to hold the cube."""
+  """The camera of cvn.camera raised by `elevation` degrees; its frame holds the cube."""
   level = camera.camera_at(azimuth, image_size=size)
   e = np.deg2rad(elevation)
   c, s = np.cos(e), np.sin(e)

@@ -6,8 +6,8 @@ with lengths in voxels (L = 1). A voxel is occupied when its centre lies
   * within R_c of an edge (a cylinder) or of a vertex (a sphere),
 with their constants for 6-separation, the thinnest there is: R_c = 1/2 and t = cos(b) / 2, where b
 is the angle between the face's normal and the nearest axis. No path of steps from voxel to face
-neighbour crosses a closed surface without meeting an occupied voxel. (Paths that also step to
-edge and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a shell 1.7 times as thick.)
+neighbour crosses a closed surface without meeting an occupied voxel. (Paths that also step to edge
+and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a shell 1.7 times as thick.)
 So every occupied centre is within 1/2 voxel of the surface, hence every occupied voxel is touched
 by it, and every centre within 1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
 

@@ -207,8 +207,7 @@ def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
 
 def read_curves(network: str, path: str) -> list[demo_page.Curve]:
   """The loss in a training's log, and what else validation measured that has a curve worth it."""
-  with open(path) as f:
-    lines = [json.loads(line) for line in f]
+  lines = [json.loads(line) for line in read_bytes(path).splitlines()]
   curves = []
   for metric, title in (('loss', 'loss'), ('iou', 'IoU')):
     trained = [(x['epoch'], x[metric]) for x in lines if metric in x]
@@ -268,13 +267,18 @@ def seconds_file(output: str) -> str:
 
 
 def read_bytes(path: str) -> bytes:
-  with open(path, 'rb') as f:
-    return f.read()
+  try:
+    with open(path, 'rb') as f:
+      return f.read()
+  except OSError as e:
+    raise UserError(f'cannot read {path}: {e.strerror}') from e
 
 
 def read_json(path: str):
-  with open(path) as f:
-    return json.load(f)
+  try:
+    return json.loads(read_bytes(path))
+  except ValueError as e:
+    raise UserError(f'{path} is damaged: remove it and run this again') from e
 
 
 if __name__ == '__main__':
