@@ -112,12 +112,15 @@ def run(f: flags.FlagValues) -> int:
     success=success,
     examples=[make_example(dataset, p, folder['models'], f.output) for p in pictures],
     table=table,
-    curves=[c for k in networks for c in read_curves(k, os.path.join(folder[k], 'log.jsonl'))],
+    curves=[
+      *read_curves('shape', os.path.join(folder['shape'], 'log.jsonl')),
+      *read_curves('colour', os.path.join(folder['color'], 'log.jsonl')),
+    ],
     contact_sheet=read_bytes(os.path.join(folder['data'], 'contact_sheet.png')),
     commands=[(line, read_json(seconds_file(f.output))[line]) for line in lines],
   )
   index = os.path.join(f.output, 'index.html')
-  with atomic_write(index) as temporary, open(temporary, 'w') as out:
+  with atomic_write(index) as temporary, open(temporary, 'w', encoding='utf-8') as out:
     out.write(demo_page.render(page))
   print(f'\n{verdict}\nopen {index}')
   return int(not success)
@@ -206,7 +209,7 @@ def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
 
 
 def read_curves(network: str, path: str) -> list[demo_page.Curve]:
-  """The loss in a training's log, and what else validation measured that has a curve worth it."""
+  """The loss in a training's log, and the IoU where it was measured."""
   lines = [json.loads(line) for line in read_bytes(path).splitlines()]
   curves = []
   for metric, title in (('loss', 'loss'), ('iou', 'IoU')):
@@ -232,10 +235,13 @@ def judge(evaluation: dict) -> tuple[demo_page.Table, bool, str]:
     ours[m] is not None and trivial[m] is not None and ours[m] > trivial[m] for m, *_ in MEASURES
   ]
   table = demo_page.Table(
-    [f'{title} (against the {baseline})' for _, title, baseline in MEASURES],
+    [title for _, title, _ in MEASURES],
     [
       (label, [text(m, numbers[m]) for m, *_ in MEASURES])
-      for label, numbers in (('networks', ours), ('baseline', trivial))
+      for label, numbers in (
+        ('networks', ours),
+        (' and '.join(dict.fromkeys(b for *_, b in MEASURES)), trivial),
+      )
     ],
     [0 if b else 1 for b in better],
   )

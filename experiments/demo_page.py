@@ -72,9 +72,7 @@ def render(page: Page) -> str:
     '<h2>The first objects of the data set</h2>',
     f'<img class="wide" alt="contact sheet" src="{_data_uri(page.contact_sheet)}">',
     f'<h2>Commands, {_minutes(total)} in all</h2>',
-    '<pre>',
-    *(f'{_minutes(s):>8}  {html.escape(c)}\n' for c, s in page.commands),
-    '</pre>',
+    *(f'<pre>{html.escape(c)}   # {_minutes(s)}</pre>' for c, s in page.commands),
   ]
   return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', _VIEWER)
 
@@ -171,7 +169,8 @@ td { font-variant-numeric: tabular-nums; }
 .best { font-weight: bold; }
 .curves { display: flex; flex-wrap: wrap; gap: 1em; }
 .curves svg { width: 390px; height: auto; }
-pre { background: #f5f5f5; padding: 1em; overflow-x: auto; font-size: 13px; }
+pre { background: #f5f5f5; padding: 1em; white-space: pre-wrap; overflow-wrap: anywhere;
+  font-size: 13px; margin: .5em 0; }
 </style>
 </head>
 <body>
