@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cvn import train
+from cvn import blending, losses, sampler, train
 from cvn.data import Batch
 from cvn.grid import PADDING_INDEX
 from cvn.recipe import PAPER, RECIPES, RELEASE
@@ -59,6 +59,29 @@ def test_color_loss_sees_only_surface_voxels():
   assert jax.tree.all(
     jax.tree.map(lambda a, b: float(a) == float(b), evaluate(state, other), expected)
   )
+
+
+def test_sparse_color_loss_is_the_dense_one():
+  rng = np.random.default_rng(1)
+  batch = make_batch(size=1)
+  voxels = rng.choice(64**3, SLOTS, replace=False)  # no voxel twice, as in a data set
+  batch = batch._replace(
+    index=np.stack(np.unravel_index(voxels, (64,) * 3), -1)[None].astype(np.int32)
+  )
+  state = train.create_state(jax.random.key(0), 'color')
+  variables = {'params': state.params, 'batch_stats': state.batch_stats}
+  network = train.NETWORKS['color']
+  volumes = jax.jit(lambda v, x: network.apply(v, x, train=False))(variables, batch.image)
+  at = (0, *batch.index[0].T)
+  mask = np.zeros((1, 64, 64, 64), bool)
+  color, flow = np.full((1, 64, 64, 64, 3), -1.0), np.full((1, 64, 64, 64, 2), -1.0)
+  mask[at], color[at], flow[at] = True, batch.color[0], batch.flow[0]
+  blended = blending.blend(
+    sampler.bilinear(batch.image, volumes.flow), volumes.regressed, volumes.weight
+  )
+  dense, _ = losses.color_objective(volumes.regressed, blended, volumes.flow, color, flow, mask)
+  sparse = make_eval('color', PAPER)(state, batch)['loss']
+  np.testing.assert_allclose(sparse, dense, rtol=1e-5)
 
 
 @pytest.mark.parametrize('kind', ['shape', 'color'])
