@@ -94,7 +94,7 @@ def _example(index: int, example: Example) -> str:
 <div class="example">
 <canvas class="viewer" data-glb="glb{index}" width="800" height="800"></canvas>
 <div><img class="wide" alt="reconstruction" src="{_data_uri(example.panel)}">
-<img alt="truth" src="{_data_uri(example.truth)}"></div>
+<img class="wide" alt="truth" src="{_data_uri(example.truth)}"></div>
 </div>
 <script type="text/plain" id="glb{index}">{base64.b64encode(example.glb).decode()}</script>
 </section>"""
