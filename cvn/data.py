@@ -154,7 +154,7 @@ def training_batches(
     needed = f'{processes} processes of batch size' if processes > 1 else 'a batch of'
     raise UserError(
       f'{dataset.root} has {len(rows)} finished training models, too few for {needed} {batch_size}:'
-      f' make more of them, or take a batch size of at most {share}'
+      + (f' make more of them, or take a batch size of at most {share}' if share else ' make more')
     )
   views = len(dataset.manifest.azimuths)
 

@@ -223,10 +223,13 @@ def test_interrupt_says_how_to_go_on_and_gives_the_handlers_back(
   assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
-def test_second_interrupt_ends_at_once(made, tmp_path, monkeypatch):
+def test_second_interrupt_ends_at_once(made, tmp_path, monkeypatch, request):
   def impatient(*args, **kwargs):
     signal.raise_signal(signal.SIGINT)
 
+  # As in a terminal: a shell starts what runs in the background with SIGINT ignored.
+  before = signal.signal(signal.SIGINT, signal.default_int_handler)
+  request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
   interrupt_at(monkeypatch, 1, signal.SIGINT)
   monkeypatch.setattr(checkpoint, 'save', impatient)
   with pytest.raises(KeyboardInterrupt):

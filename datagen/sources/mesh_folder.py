@@ -43,7 +43,8 @@ def list_models(
   """
   del seed
   if not input_dir or not os.path.isdir(input_dir):
-    raise UserError(f'--source=meshes needs a folder: --input={input_dir or ""} is none')
+    given = f'--input={input_dir} is none' if input_dir else 'give it as --input=DIR'
+    raise UserError(f'--source=meshes needs a folder of meshes: {given}')
   found = []
   for folder, folders, names in os.walk(input_dir):
     folders[:] = [name for name in folders if not name.startswith('.')]
