@@ -6,7 +6,8 @@ python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--spl
 Means are taken over all views of all models: by view, by category and in total. The paper's last
 column is the mean of the categories' means.
 With --shape alone there is no PSNR; with --color alone colours are judged on the true shapes. A
-view where no voxel is occupied has no PSNR: it is counted, and left out of the mean.
+view where no voxel is occupied has no PSNR: it is counted, and left out of the mean. No view counts
+for more than 58.9 dB, the rounding of the true colours to 8 bits.
 
 --baselines puts two trivial ones beside the networks, made of the split train: the mean shape of
 the model's category, and its mean surface colour on the very voxels whose colours are judged.
@@ -31,6 +32,11 @@ from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 
 METRICS = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB', 'psnr_ycbcr': 'PSNR YCbCr'}
+
+
+# The true colours are rounded to 8 bits, a squared error of 1/12. A view that comes closer than it
+# (an object of one colour, sampled) would otherwise weigh more than all the others.
+PSNR_CEILING = 10 * math.log10(12 * 255**2)  # 58.9 dB
 
 
 class Baseline(NamedTuple):
@@ -173,9 +179,9 @@ def evaluate_model(dataset: Dataset, row: int, networks, means, alpha: float) ->
 
 
 def append_psnr(found: dict[str, list[float]], psnr: metrics.SurfacePsnr) -> None:
-  """Appends a view's PSNRs."""
-  found['psnr_rgb'].append(psnr.rgb)
-  found['psnr_ycbcr'].append(psnr.ycbcr)
+  """Appends a view's PSNRs, none above the ceiling; NaN stays NaN."""
+  found['psnr_rgb'].append(float(np.minimum(psnr.rgb, PSNR_CEILING)))
+  found['psnr_ycbcr'].append(float(np.minimum(psnr.ycbcr, PSNR_CEILING)))
 
 
 def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:

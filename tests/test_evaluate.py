@@ -230,3 +230,12 @@ def test_program_ends_in_one_line():
   done = subprocess.run(command, capture_output=True, text=True)
   assert done.returncode == 1
   assert done.stderr.startswith('error: /nowhere') and done.stderr.count('\n') == 1
+
+
+def test_no_view_counts_for_more_than_rounding_allows():
+  found = {'psnr_rgb': [], 'psnr_ycbcr': []}
+  for rgb, ycbcr in ((20.0, 25.0), (np.inf, 177.0), (np.nan, np.nan)):
+    program.append_psnr(found, metrics.SurfacePsnr(rgb, ycbcr))
+  ceiling = -10 * np.log10(1 / 12 / 255**2)
+  np.testing.assert_allclose(found['psnr_rgb'], [20, ceiling, np.nan])
+  np.testing.assert_allclose(found['psnr_ycbcr'], [25, ceiling, np.nan])
