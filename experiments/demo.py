@@ -30,7 +30,8 @@ from experiments import demo_page
 PICTURE_VIEWS = (1, 11, 2, 10)
 
 
-VALIDATIONS = 6  # in the course of a training
+VALIDATIONS = 6  # in the course of a training, of so many views each
+VALIDATION_VIEWS = 36
 
 # What the networks are measured by, its name and the baseline it is compared with.
 MEASURES = (
@@ -97,6 +98,7 @@ def run(f: flags.FlagValues) -> int:
       workdir=folder[network],
       epochs=epochs,
       validate_every=max(1, epochs // VALIDATIONS),
+      validation_views=VALIDATION_VIEWS,
       batch_size=f.batch_size,
       learning_rate=f.learning_rate,
       seed=f.seed,
