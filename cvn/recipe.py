@@ -20,7 +20,6 @@ class Recipe(NamedTuple):
   sample: Callable  # (image, flow) -> colours, in training
   kernel_penalty: float  # times the sum of absolute kernel values, added to the loss
   learning_rate: Callable[[jax.Array], jax.Array]
-  norm_decay: Callable[[jax.Array], jax.Array]  # of the running BatchNorm statistics
 
 
 def _constant(value):
@@ -31,7 +30,8 @@ def _release_learning_rate(samples):
   return jnp.maximum(3e-4 * 0.7 ** jnp.floor(samples / 20000), 1e-5)
 
 
-def _release_norm_decay(samples):
+def norm_decay(samples: jax.Array) -> jax.Array:
+  """Decay of the running BatchNorm statistics: the authors' program's, the text says nothing."""
   return jnp.minimum(1 - 0.5 * 0.5 ** jnp.floor(samples / 20000), 0.99)
 
 
@@ -41,7 +41,6 @@ PAPER = Recipe(
   sample=sampler.bilinear,
   kernel_penalty=0.0,
   learning_rate=_constant(3e-4),
-  norm_decay=_constant(0.9),
 )
 RELEASE = Recipe(
   'release',
@@ -49,6 +48,5 @@ RELEASE = Recipe(
   sample=sampler.nearest,
   kernel_penalty=1e-5,
   learning_rate=_release_learning_rate,
-  norm_decay=_release_norm_decay,
 )
 RECIPES = {r.name: r for r in (PAPER, RELEASE)}

@@ -15,7 +15,7 @@ import optax
 
 from cvn import blending, losses, metrics
 from cvn.networks import ColorNetwork, ShapeNetwork
-from cvn.recipe import Recipe
+from cvn.recipe import Recipe, norm_decay
 from cvn.reconstruct import OCCUPIED
 
 NETWORKS = {'shape': ShapeNetwork(), 'color': ColorNetwork()}
@@ -63,7 +63,7 @@ def make_step(
   def step(state, batch):
     samples = (state.step * len(batch.image)).astype(jnp.float32)
     rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
-    decay = recipe.norm_decay(samples)
+    decay = norm_decay(samples)
     (_, (found, batch_stats)), gradient = jax.value_and_grad(_objective, has_aux=True)(
       state.params, state.batch_stats, batch, kind, recipe, True
     )
