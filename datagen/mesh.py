@@ -37,6 +37,7 @@ class TexturedMesh(NamedTuple):
   corner_uv: np.ndarray  # [F, 3, 2] float32; 0 where a face has no texture
   texture: np.ndarray  # [F] int32 into textures; -1 where a face has none
   textures: tuple[np.ndarray, ...]  # [H, W, 4] uint8 RGBA each
+  missing: tuple[str, ...] = ()  # files of textures and materials that are named but not there
 
 
 def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:

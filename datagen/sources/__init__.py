@@ -7,11 +7,15 @@ Both raise `UserError` for what the user can mend.
 
 import importlib
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 SOURCES = {
   'meshes': 'datagen.sources.mesh_folder',
   'procedural': 'datagen.sources.procedural',
+  'shapenet': 'datagen.sources.shapenet',
+  'sweethome3d': 'datagen.sources.sweethome3d',
+  'humans': 'datagen.sources.humans',
+  'im2avatar_release': 'datagen.sources.im2avatar_release',
 }
 
 
@@ -20,8 +24,10 @@ class SourceModel(NamedTuple):
 
   id: str  # unique in its data set, stable between runs, fit for a file's name
   category: str
-  path: str = ''  # the mesh file; '' where there is none
+  path: str = ''  # the file it is read from; '' where there is none
+  detail: Any = None  # what else its source must know to load it
   seed: int = 0  # what a made-up model is made from
+  split: str = ''  # 'train', 'val' or 'test' where the source itself says so
   licence: str = ''  # as the source states it; '' where it does not
   creator: str = ''
 
