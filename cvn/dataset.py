@@ -4,14 +4,16 @@
 
   manifest.json               what `Manifest` describes
   failures.json               {model id: reason} of the models that could not be made
-  views          [N,V,H,W,4]  u8   sRGB and alpha; one chunk a view
-  surface_index  [N,C,3]      u8   voxel (i, j, k), PADDING_INDEX past the count; one chunk a model
+  views          [N,V,H,W,4]  u8   sRGB and alpha
+  surface_index  [N,C,3]      u8   voxel (i, j, k), PADDING_INDEX past the count
   surface_color  [N,C,3]      u8   sRGB albedo
-  visible        [N,V,C]      u8   1 where the view sees the voxel; one chunk a view
-  flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel; one chunk a view
+  visible        [N,V,C]      u8   1 where the view sees the voxel
+  flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel
+  facts          [N,3]        f32  what `Facts` tells of the mesh
   surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
 
-Row n of every array is model n of the manifest. No two models share a chunk, so any number of
+Row n of every array is model n of the manifest. An array has one file a model (a shard), in which
+each view is a chunk of its own: a view is read alone. No two models share a file, so any number of
 processes may write their own models at the same time, and a model is there only when it is whole.
 """
 
@@ -26,9 +28,18 @@ import tensorstore as ts
 from cvn import camera, grid
 from cvn.errors import UserError
 
-FORMAT = 1
+FORMAT = 2
 SURFACE_CAPACITY = 32768  # of 262,144 voxels; a solid cube's shell has 23,816
 SPLITS = ('train', 'val', 'test')
+ARRAYS = (
+  'views',
+  'surface_index',
+  'surface_color',
+  'visible',
+  'flow',
+  'facts',
+  'surface_count',
+)
 
 
 class Model(NamedTuple):
@@ -37,7 +48,8 @@ class Model(NamedTuple):
   id: str
   category: str
   split: str  # 'train', 'val' or 'test'
-  source: str  # file or generator it was made from
+  source: str  # a key of datagen.sources.SOURCES
+  path: str = ''  # the file it was made from, below the source's folder
   licence: str = ''
   creator: str = ''
 
@@ -53,6 +65,14 @@ class Manifest(NamedTuple):
   settings: dict[str, Any]  # the generator's flags and version
 
 
+class Facts(NamedTuple):
+  """What a record keeps of the mesh it was made from."""
+
+  faces: float = 0  # triangles with an area
+  missing: float = 0  # files of textures and materials that are named but not there
+  volume: float = 0  # signed, of its bounding box's: below 0 where faces look inwards
+
+
 class Record(NamedTuple):
   """One model: V views and S surface voxels."""
 
@@ -61,6 +81,7 @@ class Record(NamedTuple):
   surface_color: np.ndarray  # [S, 3] u8
   visible: np.ndarray  # [V, S] bool
   flow: np.ndarray  # [V, S, 2] float, (u, v) in [0, 1]
+  facts: Facts = Facts()
 
 
 class Dataset(NamedTuple):
@@ -97,6 +118,31 @@ def create(root: str, manifest: Manifest) -> Dataset:
   if read_json(url, 'manifest.json') is not None:
     raise UserError(f'{root} already holds a data set')
   arrays = {k: _open_array(url, k, spec) for k, spec in _array_specs(manifest).items()}
+  _write_manifest(url, manifest)
+  return Dataset(url, manifest, arrays)
+
+
+def extend(dataset: Dataset, models: Sequence[Model]) -> Dataset:
+  """Plans more models, in rows behind those that are there.
+
+  The manifest is written last: when this is cut short, the data set is as before.
+
+  Raises:
+    UserError: the place cannot be written.
+  """
+  manifest = dataset.manifest._replace(models=(*dataset.manifest.models, *models))
+  try:
+    arrays = {
+      k: a.resize(exclusive_max=[len(manifest.models), *a.shape[1:]], expand_only=True).result()
+      for k, a in dataset.arrays.items()
+    }
+  except ValueError as e:
+    raise UserError(f'cannot extend {dataset.root}: {_first_line(e)}') from e
+  _write_manifest(dataset.root, manifest)
+  return Dataset(dataset.root, manifest, arrays)
+
+
+def _write_manifest(url: str, manifest: Manifest) -> None:
   as_json = manifest._asdict()
   as_json['models'] = [m._asdict() for m in manifest.models]
   as_json['cameras'] = [
@@ -107,7 +153,6 @@ def create(root: str, manifest: Manifest) -> Dataset:
     for a in manifest.azimuths
   ]
   write_json(url, 'manifest.json', {'format': FORMAT, **as_json})
-  return Dataset(url, manifest, arrays)
 
 
 def open_dataset(root: str) -> Dataset:
@@ -128,19 +173,32 @@ def open_dataset(root: str) -> Dataset:
       tuple(raw['azimuths']),
       *(raw[k] for k in ('image_size', 'grid_size', 'capacity', 'settings')),
     )
-    arrays = {k: _open_array(url, k, None) for k in _array_specs(manifest)}
   except (KeyError, TypeError, ValueError) as e:
     raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
-  return Dataset(url, manifest, arrays)
+  return Dataset(url, manifest, open_arrays(root))
 
 
-def write_record(dataset: Dataset, row: int, record: Record) -> None:
+def open_arrays(root: str) -> dict[str, ts.TensorStore]:
+  """The arrays of a data set without its manifest, which grows long: all that a worker needs.
+
+  Raises:
+    UserError: they are not there.
+  """
+  url = to_url(root)
+  try:
+    return {k: _open_array(url, k, None) for k in ARRAYS}
+  except ValueError as e:
+    raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
+
+
+def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) -> None:
   """Writes one model; a reader sees it only once all of it is there.
 
   Raises:
-    UserError: the record has no voxel or more than the data set's capacity.
+    UserError: the record has no voxel or more than the data set's capacity, or the place cannot be
+      written (no space).
   """
-  count, capacity = len(record.surface_index), dataset.manifest.capacity
+  count, capacity = len(record.surface_index), arrays['surface_index'].shape[1]
   if not 0 < count <= capacity:
     raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
 
@@ -149,17 +207,21 @@ def write_record(dataset: Dataset, row: int, record: Record) -> None:
     pad[axis] = (0, capacity - count)
     return np.pad(x, pad, constant_values=fill)
 
-  a = dataset.arrays
-  writes = [
-    a['views'][row].write(record.views),
-    a['surface_index'][row].write(padded(record.surface_index, 0, grid.PADDING_INDEX)),
-    a['surface_color'][row].write(padded(record.surface_color, 0, 0)),
-    a['visible'][row].write(padded(record.visible.astype(np.uint8), 1, 0)),
-    a['flow'][row].write(padded(encode_flow(record.flow), 1, 0)),
-  ]
-  for w in writes:
-    w.result()
-  a['surface_count'][row].write(count).result()
+  values = {
+    'views': record.views,
+    'surface_index': padded(record.surface_index, 0, grid.PADDING_INDEX),
+    'surface_color': padded(record.surface_color, 0, 0),
+    'visible': padded(record.visible.astype(np.uint8), 1, 0),
+    'flow': padded(encode_flow(record.flow), 1, 0),
+    'facts': np.array(record.facts, np.float32),
+  }
+  try:
+    writes = [arrays[name][row].write(value) for name, value in values.items()]
+    for w in writes:
+      w.result()
+    arrays['surface_count'][row].write(count).result()
+  except ValueError as e:
+    raise UserError(f'cannot write the record: {_first_line(e)}') from e
 
 
 def read_record(dataset: Dataset, row: int) -> Record:
@@ -178,14 +240,17 @@ def read_record(dataset: Dataset, row: int) -> Record:
     a['surface_color'][row, :count].read(),
     a['visible'][row, :, :count].read(),
     a['flow'][row, :, :count].read(),
+    a['facts'][row].read(),
   ]
-  views, index, color, visible, flow = (r.result() for r in reads)
-  return Record(views, index, color, visible.astype(bool), decode_flow(flow))
+  views, index, color, visible, flow, facts = (r.result() for r in reads)
+  facts = Facts(*(float(x) for x in facts))
+  return Record(views, index, color, visible.astype(bool), decode_flow(flow), facts)
 
 
 def surface_counts(dataset: Dataset) -> np.ndarray:
   """[N] surface voxels of each row; 0 where the model is not made."""
-  return np.asarray(dataset.arrays['surface_count'].read().result())
+  counts = np.asarray(dataset.arrays['surface_count'].read().result())
+  return counts[: len(dataset.manifest.models)]  # arrays are extended before the manifest is
 
 
 def read_json(root: str, name: str):
@@ -206,16 +271,17 @@ def write_json(root: str, name: str, value) -> None:
     raise UserError(f'cannot write {root}{name}: {_first_line(e)}') from e
 
 
-def _array_specs(m: Manifest) -> dict[str, tuple[str, Sequence[int], Sequence[int], int]]:
-  """name -> dtype, shape, chunk shape, fill value."""
+def _array_specs(m: Manifest) -> dict[str, tuple[str, Sequence[int], bool, int]]:
+  """name -> dtype, shape, whether the second axis is views, fill value."""
   n, v, s, c = len(m.models), len(m.azimuths), m.image_size, m.capacity
   return {
-    'views': ('uint8', (n, v, s, s, 4), (1, 1, s, s, 4), 0),
-    'surface_index': ('uint8', (n, c, 3), (1, c, 3), grid.PADDING_INDEX),
-    'surface_color': ('uint8', (n, c, 3), (1, c, 3), 0),
-    'visible': ('uint8', (n, v, c), (1, 1, c), 0),
-    'flow': ('uint16', (n, v, c, 2), (1, 1, c, 2), 0),
-    'surface_count': ('uint32', (n,), (1,), 0),
+    'views': ('uint8', (n, v, s, s, 4), True, 0),
+    'surface_index': ('uint8', (n, c, 3), False, grid.PADDING_INDEX),
+    'surface_color': ('uint8', (n, c, 3), False, 0),
+    'visible': ('uint8', (n, v, c), True, 0),
+    'flow': ('uint16', (n, v, c, 2), True, 0),
+    'facts': ('float32', (n, len(Facts._fields)), False, 0),
+    'surface_count': ('uint32', (n,), False, 0),
   }
 
 
@@ -224,18 +290,27 @@ def _open_array(url: str, name: str, spec) -> ts.TensorStore:
   json_spec = {'driver': 'zarr3', 'kvstore': url + name + '/'}
   if spec is None:
     return ts.open(json_spec, open=True).result()
-  dtype, shape, chunk, fill = spec
+  dtype, shape, by_view, fill = spec
+  raw = {'name': 'bytes'}
+  if dtype != 'uint8':
+    raw['configuration'] = {'endian': 'little'}
+  codecs = [raw, {'name': 'zstd', 'configuration': {'level': 3}}]
+  if by_view:
+    sharded = {
+      'chunk_shape': (1, 1, *shape[2:]),
+      'codecs': codecs,
+      'index_codecs': [
+        {'name': 'bytes', 'configuration': {'endian': 'little'}},
+        {'name': 'crc32c'},
+      ],
+    }
+    codecs = [{'name': 'sharding_indexed', 'configuration': sharded}]
   json_spec['metadata'] = {
     'shape': shape,
     'data_type': dtype,
     'fill_value': fill,
-    'chunk_grid': {'name': 'regular', 'configuration': {'chunk_shape': chunk}},
-    'codecs': [
-      {'name': 'bytes', 'configuration': {'endian': 'little'}}
-      if dtype != 'uint8'
-      else {'name': 'bytes'},
-      {'name': 'zstd', 'configuration': {'level': 3}},
-    ],
+    'chunk_grid': {'name': 'regular', 'configuration': {'chunk_shape': (1, *shape[1:])}},
+    'codecs': codecs,
   }
   try:
     return ts.open(json_spec, create=True, open=True).result()

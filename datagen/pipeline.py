@@ -5,18 +5,19 @@ The Executor is the only seam for parallel work: anything with the interface of
 the data set, and what it writes depends on the job alone, not on the other workers.
 """
 
-import os
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+  FIRST_COMPLETED,
+  CancelledError,
+  Executor,
+  Future,
+  wait,
+)
 from concurrent.futures import process as process_pool
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait as wait_for_process
 from typing import NamedTuple
 
-import drjit
 import numpy as np
 
 from cvn import dataset as dataset_lib
@@ -26,10 +27,34 @@ from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import mesh as mesh_lib
 from datagen import sources
-from datagen.flow import FlowStats, target_flows
+from datagen.facts import facts_of
+from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
+from datagen.limits import call_within, memory_limit
 from datagen.render import render
 from datagen.sources import SourceModel
 from datagen.voxelize import voxelize
+
+
+class Settings(NamedTuple):
+  """How records are made: with the model itself, all that decides their bytes."""
+
+  azimuths: tuple[float, ...] = AZIMUTHS  # degrees
+  image_size: int = IMAGE_SIZE  # pixels
+  grid_size: int = GRID_SIZE  # voxels
+  shading: str = 'flat'  # one of datagen.render.SHADINGS
+  separating: int = 6  # of datagen.voxelize
+  tolerance: float = TOLERANCE  # of datagen.flow, voxels
+  similarity: float = SIMILARITY  # of datagen.flow, RGB distance
+
+
+SETTINGS = Settings()
+
+
+class Limits(NamedTuple):
+  """What a model may cost before it is given up."""
+
+  seconds: float = 300
+  memory: int = 4 << 30  # bytes of its process
 
 
 class Job(NamedTuple):
@@ -39,7 +64,8 @@ class Job(NamedTuple):
   row: int
   model: SourceModel
   source: str  # a key of datagen.sources.SOURCES
-  shading: str
+  settings: Settings
+  limits: Limits
 
 
 class Outcome(NamedTuple):
@@ -47,73 +73,103 @@ class Outcome(NamedTuple):
 
   row: int
   seconds: float
-  stats: FlowStats | None  # None when it failed
+  stats: FlowStats | None  # None when it failed or was read
   reason: str  # '' when it did not
 
 
 def make_record(
-  mesh: mesh_lib.TexturedMesh,
-  *,
-  azimuths: Sequence[float] = AZIMUTHS,
-  image_size: int = IMAGE_SIZE,
-  grid_size: int = GRID_SIZE,
-  shading: str = 'flat',
+  mesh: mesh_lib.TexturedMesh, settings: Settings = SETTINGS
 ) -> tuple[Record, FlowStats]:
   """Turns a coloured mesh of any size into voxels, views and target flows.
 
   Raises:
     UserError: the mesh is unfit: no faces, not finite, no extent, or nothing to see in a view.
   """
+  s = settings
   mesh_lib.check(mesh)
   mesh = mesh_lib.normalize(mesh)
-  cameras = [camera_at(a, image_size=image_size) for a in azimuths]
-  flat, depths = render(mesh, cameras, image_size=image_size)
-  for azimuth, depth in zip(azimuths, depths, strict=True):
+  cameras = [camera_at(a, image_size=s.image_size) for a in s.azimuths]
+  flat, depths = render(mesh, cameras, image_size=s.image_size)
+  for azimuth, depth in zip(s.azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
       raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
-  index, color = voxelize(mesh, grid_size)
-  flow, visible, stats = target_flows(index, color, flat, depths, cameras, grid_size=grid_size)
+  index, color = voxelize(mesh, s.grid_size)
+  flow, visible, stats = target_flows(
+    index,
+    color,
+    flat,
+    depths,
+    cameras,
+    grid_size=s.grid_size,
+    tolerance=s.tolerance,
+    similarity=s.similarity,
+  )
   # Flows are matched by albedo under any light: light has no part in which point is which.
-  lit = shading != 'flat'
-  views = render(mesh, cameras, image_size=image_size, shading=shading).rgba if lit else flat
-  return Record(views, index, color, visible, flow), stats
+  lit = s.shading != 'flat'
+  views = render(mesh, cameras, image_size=s.image_size, shading=s.shading).rgba if lit else flat
+  return Record(views, index, color, visible, flow, facts_of(mesh)), stats
 
 
 def run_job(job: Job) -> Outcome:
-  """Makes one model and writes its record; whatever goes wrong becomes the outcome's reason."""
+  """Makes one model within its limits and writes its record.
+
+  Whatever goes wrong with the model becomes the outcome's reason.
+
+  Raises:
+    UserError: the data set cannot be written: no other model will fare better.
+  """
   start = time.perf_counter()
+  arrays = dataset_lib.open_arrays(job.root)
   try:
-    dataset = dataset_lib.open_dataset(job.root)
-    m = dataset.manifest
-    record, stats = make_record(
-      sources.source(job.source).load(job.model),
-      azimuths=m.azimuths,
-      image_size=m.image_size,
-      grid_size=m.grid_size,
-      shading=job.shading,
-    )
-    dataset_lib.write_record(dataset, job.row, record)
+    with memory_limit(job.limits.memory):
+      record, stats = call_within(job.limits.seconds, _make, job)
     reason = ''
   except UserError as e:
-    stats, reason = None, str(e)
+    record, stats, reason = None, None, str(e)
+  except MemoryError:
+    record, stats = None, None
+    reason = f'it needs more than {job.limits.memory / 2**30:g} GiB of memory'
   except Exception as e:  # one file that some library chokes on must not stop the run
-    stats, reason = None, f'{type(e).__name__}: {e}'
+    record, stats, reason = None, None, f'{type(e).__name__}: {e}'
+  if record is not None:
+    dataset_lib.write_record(arrays, job.row, record)
   return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()))
 
 
+def _make(job: Job) -> tuple[Record, FlowStats | None]:
+  source = sources.source(job.source)
+  if hasattr(source, 'read_record'):  # it holds records, not meshes
+    return source.read_record(
+      job.model,
+      azimuths=job.settings.azimuths,
+      image_size=job.settings.image_size,
+      grid_size=job.settings.grid_size,
+    ), None
+  return make_record(source.load(job.model), job.settings)
+
+
 def run_jobs(
-  jobs: Sequence[Job], make_executor: Callable[[int], Executor], workers: int
+  jobs: Sequence[Job],
+  make_executor: Callable[[int], Executor],
+  workers: int,
+  *,
+  in_hand: int | None = None,
 ) -> Iterator[Outcome]:
   """Runs jobs and yields each outcome as it comes.
 
-  When a worker dies (a crash in native code, no memory), its pool is lost with all that it had in
-  hand. Those jobs are run again one by one, each in a pool of its own, and the one whose pool
-  breaks again is the one that failed.
+  When a worker dies (a crash in native code, no memory), a pool of local processes is lost with all
+  that it had in hand. Those jobs are run again one by one, each in a pool of its own, and the one
+  whose pool breaks again is the one that failed. Dask gives the job of a worker that died to
+  another one, and only after several such deaths fails the job.
 
   Args:
     jobs: what to do.
     make_executor: makes an executor with that many workers.
     workers: how many.
+    in_hand: jobs given to the executor at a time; None for twice the workers.
+
+  Raises:
+    UserError: the data set cannot be written, or the executor is lost with all its workers.
   """
   waiting, suspects = deque(jobs), deque()
   while waiting:
@@ -121,7 +177,7 @@ def run_jobs(
     running: dict[Future, Job] = {}
     try:
       while waiting or running:
-        while waiting and len(running) < 2 * workers and not suspects:
+        while waiting and len(running) < (in_hand or 2 * workers) and not suspects:
           job = waiting.popleft()
           try:
             running[executor.submit(run_job, job)] = job
@@ -132,11 +188,23 @@ def run_jobs(
         for future in wait(running, return_when=FIRST_COMPLETED).done:
           job = running.pop(future)
           try:
-            yield future.result()
+            outcome = future.result()
           except process_pool.BrokenProcessPool:
             suspects.append(job)
+          except UserError:
+            raise
+          except CancelledError as e:
+            raise UserError(
+              'the scheduler has cancelled the work or is gone; the same command goes on with it'
+            ) from e
+          except Exception as e:
+            yield Outcome(job.row, 0.0, None, f'its worker was lost: {" ".join(str(e).split())}')
+          else:
+            yield outcome
     finally:
-      executor.shutdown(cancel_futures=True)
+      for future in running:
+        future.cancel()
+      executor.shutdown()
     while suspects:
       yield _run_alone(suspects.popleft(), make_executor)
 
@@ -148,27 +216,3 @@ def _run_alone(job: Job, make_executor: Callable[[int], Executor]) -> Outcome:
       return executor.submit(run_job, job).result()
     except process_pool.BrokenProcessPool:
       return Outcome(job.row, time.perf_counter() - start, None, 'it crashed its worker process')
-
-
-def process_executor(workers: int) -> Executor:
-  """Local processes, each on one core.
-
-  They are started afresh (spawn), not forked: the parent has threads that a fork would leave dead.
-  """
-  for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
-    os.environ.setdefault(name, '1')  # read by the children as they load their libraries
-  return ProcessPoolExecutor(workers, mp_context=get_context('spawn'), initializer=_start_worker)
-
-
-def _start_worker() -> None:
-  drjit.set_thread_count(1)
-  # A terminal sends its interrupt to the whole group of processes. Mitsuba would end its rendering
-  # in the middle, and half a view would count as one: the parent alone decides when to stop.
-  os.setpgrp()
-  threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-  """A parent that is killed takes no leave of its workers, who would wait for jobs forever."""
-  wait_for_process([parent_process().sentinel])
-  os._exit(1)

@@ -68,5 +68,5 @@ def make_dataset(
   for n in range(models):
     if n not in missing:
       record = make_record(n, azimuths=azimuths, image_size=image_size, grid_size=grid_size)
-      dataset.write_record(made, n, record)
+      dataset.write_record(made.arrays, n, record)
   return made

@@ -62,7 +62,7 @@ def test_reading_a_model_that_is_not_made(made):
 def test_no_two_models_share_a_file(made):
   """Each row's chunks live under its own number, so writers never meet."""
   before = {p: os.path.getmtime(p) for p in all_files(made)}
-  dataset.write_record(made, 1, tiny_record(1))
+  dataset.write_record(made.arrays, 1, tiny_record(1))
   after = {p: os.path.getmtime(p) for p in all_files(made)}
   assert all(after[p] == t for p, t in before.items())
   new = [os.path.relpath(p, made.root.removeprefix('file://')) for p in set(after) - set(before)]
@@ -84,7 +84,7 @@ def test_writing_again_gives_the_same_bytes(made):
     return {p: pathlib.Path(p).read_bytes() for p in all_files(made)}
 
   before = content()
-  dataset.write_record(made, 0, tiny_record(0))
+  dataset.write_record(made.arrays, 0, tiny_record(0))
   assert content() == before
 
 
@@ -92,10 +92,10 @@ def test_record_of_no_voxel_or_too_many(made):
   r = tiny_record(0)
   empty = r._replace(surface_index=r.surface_index[:0], surface_color=r.surface_color[:0])
   with pytest.raises(UserError, match='0 surface voxels; a record holds 1 to 1024'):
-    dataset.write_record(made, 1, empty)
+    dataset.write_record(made.arrays, 1, empty)
   many = r._replace(surface_index=np.zeros((1025, 3), np.uint8))
   with pytest.raises(UserError, match='1025 surface voxels'):
-    dataset.write_record(made, 1, many)
+    dataset.write_record(made.arrays, 1, many)
   assert dataset.surface_counts(made)[1] == 0
 
 
@@ -145,7 +145,7 @@ def edit_manifest(made, change):
 
 def test_open_another_format(made):
   edit_manifest(made, lambda raw: raw.update(format=99))
-  with pytest.raises(UserError, match='not of format 1'):
+  with pytest.raises(UserError, match='not of format'):
     dataset.open_dataset(made.root)
 
 
@@ -179,3 +179,39 @@ def test_urls(tmp_path, monkeypatch):
   monkeypatch.chdir(tmp_path)
   assert dataset.to_url('a') == dataset.to_url(str(tmp_path / 'a/')) == f'file://{tmp_path}/a/'
   assert dataset.to_url('gs://bucket/a') == 'gs://bucket/a/'
+
+
+def test_one_file_a_model_and_array(made):
+  names = [os.path.relpath(p, made.root.removeprefix('file://')) for p in all_files(made)]
+  records = [n for n in names if os.sep + 'c' + os.sep in n]
+  assert len(records) == 2 * (len(dataset.ARRAYS) - 1)  # facts of zeros only need no file
+
+
+def test_extended_data_sets_keep_what_they_hold(made):
+  before = dataset.read_record(made, 0)
+  more = [dataset.Model('new', 'cube', 'test', 'synthetic')]
+  extended = dataset.extend(made, more)
+  assert extended.manifest.models == (*made.manifest.models, *more)
+  dataset.write_record(dataset.open_arrays(made.root), 3, tiny_record(7))
+  again = dataset.open_dataset(made.root)
+  assert again.manifest == extended.manifest
+  assert (dataset.surface_counts(again) > 0).tolist() == [True, False, True, True]
+  np.testing.assert_array_equal(dataset.read_record(again, 0).views, before.views)
+  np.testing.assert_array_equal(dataset.read_record(again, 3).views, tiny_record(7).views)
+
+
+def test_a_data_set_whose_extension_was_cut_short_is_as_before(made, monkeypatch):
+  monkeypatch.setattr(dataset, '_write_manifest', lambda *_: None)
+  more = [dataset.Model('new', 'cube', 'test', 'synthetic')]
+  dataset.extend(made, more)
+  monkeypatch.undo()
+  again = dataset.open_dataset(made.root)
+  assert len(dataset.surface_counts(again)) == 3
+  assert len(dataset.surface_counts(dataset.extend(again, more))) == 4
+
+
+def test_facts_come_back(made):
+  facts = dataset.Facts(faces=1234567, missing=2, volume=-0.25)
+  dataset.write_record(made.arrays, 1, tiny_record(1)._replace(facts=facts))
+  assert dataset.read_record(made, 1).facts == facts
+  assert dataset.read_record(made, 0).facts == dataset.Facts()

@@ -1,9 +1,11 @@
+import glob
 import json
 import os
 import shutil
 import subprocess
 import sys
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+import time
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
@@ -15,10 +17,11 @@ from PIL import Image
 from cvn import dataset as dataset_lib
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen import generate, pipeline
-from datagen.pipeline import Job, Outcome, make_record, run_jobs
+from datagen import generate, pipeline, plan
+from datagen.pipeline import Job, Limits, Outcome, Settings, make_record, run_jobs
 from datagen.sources import SourceModel
 from datagen.sources.mesh_folder import load
+from datagen.splits import split_of
 
 
 def write_box(path, extents, color):
@@ -95,7 +98,7 @@ def test_the_program_makes_what_can_be_made(generated):
 
   dataset = dataset_lib.open_dataset(str(output))
   assert [m.id for m in dataset.manifest.models] == ['a', 'broken', 'c']
-  assert [m.source for m in dataset.manifest.models] == ['a.ply', 'broken.ply', 'c.ply']
+  assert [m.path for m in dataset.manifest.models] == ['a.ply', 'broken.ply', 'c.ply']
   counts = dataset_lib.surface_counts(dataset)
   assert counts[1] == 0
   record = dataset_lib.read_record(dataset, 2)
@@ -118,8 +121,8 @@ def test_a_run_that_was_cut_short_ends_with_the_same_bytes(
   shutil.copytree(generated[1], tmp_path / 'cut')
   whole = contents(tmp_path / 'cut')
   # As if killed while row 2 was written: no count, and not all of its arrays.
-  lost = [n for n in whole if n.startswith(('surface_count/c/2', 'flow/c/2/1'))]
-  assert len(lost) == 4
+  lost = [n for n in whole if n.startswith(('surface_count/c/2', 'flow/c/2/'))]
+  assert len(lost) == 2
   for name in lost:
     os.unlink(tmp_path / 'cut' / name)
   generate.run(parsed(*arguments(meshes, tmp_path / 'cut')))
@@ -131,9 +134,11 @@ def test_a_run_that_was_cut_short_ends_with_the_same_bytes(
   'more, message',
   [
     (['--shading=lit'], 'shading flat, not lit'),
-    (['--seed=1'], 'seed 0, not 1'),
-    (['--limit=1'], 'of 3 models'),
-    (['--category=chair'], 'category'),
+    (['--tolerance=2'], 'tolerance 1.0, not 2.0'),
+    (['--similarity=0.2'], 'similarity 0.1, not 0.2'),
+    (['--separating=26'], 'separating 6, not 26'),
+    (['--category=chair'], "model a with category 'box', not 'chair'"),
+    (['--category=chair', '--append'], "model a with category 'box', not 'chair'"),
   ],
 )
 def test_a_data_set_made_otherwise_is_not_touched(generated, meshes, threads, more, message):
@@ -158,9 +163,12 @@ def test_splits_from_files(meshes, tmp_path):
   with pytest.raises(UserError, match='names c'):
     generate.run(f)
   (tmp_path / 'test_list_box.txt').write_text('c\n')
-  models = generate.list_models('meshes', ['box'], str(meshes), None, 0)
-  manifest = generate.plan(models, settings={}, splits_folder=str(tmp_path))
-  assert [m.split for m in manifest.models] == ['train', 'train', 'test']
+  models = plan.list_models('meshes', ['box'], str(meshes), None, 0)
+  planned = plan.plan(models, 'meshes', splits_folder=str(tmp_path))
+  assert [m.split for m in planned] == ['train', 'train', 'test']
+  # Without lists, what the source says; without that, the hash of the id.
+  planned = plan.plan([models[0]._replace(split='val'), *models[1:]], 'meshes')
+  assert [m.split for m in planned] == ['val', *(split_of(m.id) for m in models[1:])]
 
 
 @pytest.mark.parametrize(
@@ -201,13 +209,13 @@ def test_what_cannot_be_planned(meshes, tmp_path, threads, change, message):
 
 
 def test_several_categories_in_one_data_set():
-  models = generate.list_models('procedural', ['chair', ' car'], None, 2, 0)
+  models = plan.list_models('procedural', ['chair', ' car'], None, 2, 0)
   assert [m.category for m in models] == ['chair', 'chair', 'car', 'car']
 
 
 def test_a_record_of_any_size(meshes):
   mesh = load(SourceModel('a', 'box', str(meshes / 'a.ply')))
-  record, stats = make_record(mesh, azimuths=(0, 90), image_size=32, grid_size=16)
+  record, stats = make_record(mesh, Settings((0, 90), image_size=32, grid_size=16))
   count = len(record.surface_index)
   assert record.views.shape == (2, 32, 32, 4)
   assert record.flow.shape == (2, count, 2)
@@ -220,7 +228,7 @@ def test_a_record_of_any_size(meshes):
 def test_light_does_not_move_flows(meshes):
   mesh = load(SourceModel('a', 'box', str(meshes / 'a.ply')))
   flat, lit = (
-    make_record(mesh, azimuths=(0, 30), image_size=32, grid_size=16, shading=s)[0]
+    make_record(mesh, Settings((0, 30), image_size=32, grid_size=16, shading=s))[0]
     for s in ('flat', 'lit')
   )
   np.testing.assert_array_equal(lit.flow, flat.flow)
@@ -232,7 +240,7 @@ def test_what_no_pixel_shows_is_refused(meshes):
   mesh = load(SourceModel('a', 'box', str(meshes / 'a.ply')))
   needle = mesh._replace(vertices=mesh.vertices * [1e-4, 1, 1e-4])
   with pytest.raises(UserError, match='too thin'):
-    make_record(needle, image_size=32, grid_size=16)
+    make_record(needle, Settings(image_size=32, grid_size=16))
 
 
 def test_an_unforeseen_error_is_a_reason(monkeypatch, generated):
@@ -244,7 +252,7 @@ def test_an_unforeseen_error_is_a_reason(monkeypatch, generated):
   monkeypatch.setattr(
     pipeline.sources, 'source', lambda _: type('Source', (), {'load': lambda model: None})
   )
-  outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', 'flat'))
+  outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', Settings(), Limits()))
   assert outcome.reason == 'ZeroDivisionError: three lines long'
   assert outcome.stats is None
 
@@ -271,8 +279,139 @@ class FragileExecutor(Executor):
 @pytest.mark.parametrize('fatal', [{0}, {3}, {9}, {2, 3, 7}, set(range(10))])
 def test_a_dying_worker_costs_its_own_job_only(fatal):
   made = []
-  jobs = [Job('', row, None, '', '') for row in range(10)]
+  jobs = [Job('', row, None, '', None, None) for row in range(10)]
   outcomes = list(run_jobs(jobs, lambda workers: FragileExecutor(fatal, made), 2))
   assert sorted(o.row for o in outcomes) == list(range(10))
   assert {o.row for o in outcomes if o.reason} == fatal
   assert sorted(made) == sorted(set(range(10)) - fatal)
+
+
+def test_models_are_appended_to_a_data_set(generated, meshes, tmp_path, threads, capsys):
+  whole = contents(generated[1])
+  part = tmp_path / 'part'
+  part.mkdir()
+  shutil.copy(meshes / 'c.ply', part)
+  output = tmp_path / 'data'
+  generate.run(parsed(*arguments(part, output)))
+  with pytest.raises(UserError, match=r'without 2 of these 3 \(first: a\): give --append'):
+    generate.run(parsed(*arguments(meshes, output)))
+  capsys.readouterr()
+  generate.run(parsed(*arguments(meshes, output, '--append')))
+  assert 'made 1, already there 1, failed 1' in capsys.readouterr().out
+  both = dataset_lib.open_dataset(str(output))
+  assert [m.id for m in both.manifest.models] == ['c', 'a', 'broken']
+  # Each record has the bytes that it has in a data set made at once.
+  rows = {'0': '2', '1': '0'}
+  mine = {n: b for n, b in contents(output).items() if '/c/' in n}
+  for name, data in mine.items():
+    array, c, row, *rest = name.split('/')
+    assert data == whole['/'.join([array, c, rows[row], *rest])]
+  # Once planned, no more need to append: the same models, or some of them, are all there.
+  generate.run(parsed(*arguments(meshes, output)))
+  generate.run(parsed(*arguments(part, output)))
+  assert 'made 0, already there 2, failed 1' in capsys.readouterr().out
+
+
+def test_another_source_is_appended(generated, tmp_path, threads):
+  output = tmp_path / 'data'
+  shutil.copytree(generated[1], output)
+  more = ['--source=procedural', '--category=chair', '--limit=1', f'--output={output}', '--append']
+  generate.run(parsed(*more))
+  dataset = dataset_lib.open_dataset(str(output))
+  assert [m.source for m in dataset.manifest.models] == ['meshes'] * 3 + ['procedural']
+  assert (dataset_lib.surface_counts(dataset) > 0).tolist() == [True, False, True, True]
+
+
+def start_program(*arguments):
+  command = [sys.executable, '-m', 'datagen.generate', *arguments]
+  return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def test_a_run_killed_at_any_moment_ends_with_the_same_bytes(tmp_path):
+  """kill -9 of the program and so of its workers, some time after the first record."""
+  chairs = ['--source=procedural', '--category=chair', '--limit=6', '--workers=2']
+  assert program(*chairs, f'--output={tmp_path / "whole"}').returncode == 0
+  killed = 0
+  for attempt in range(8):
+    running = start_program(*chairs, f'--output={tmp_path / "killed"}')
+    deadline = time.monotonic() + 120
+    done = len(glob.glob(str(tmp_path / 'killed/surface_count/c/*')))
+    while len(glob.glob(str(tmp_path / 'killed/surface_count/c/*'))) == done:
+      assert time.monotonic() < deadline
+      if running.poll() is not None:
+        break
+      time.sleep(0.02)
+    time.sleep(0.05 * attempt)
+    if running.poll() is not None:
+      break
+    running.kill()
+    running.wait()
+    killed += 1
+  assert killed >= 2
+  finished = program(*chairs, f'--output={tmp_path / "killed"}')
+  assert finished.returncode == 0, finished.stderr
+  assert contents(tmp_path / 'killed') == contents(tmp_path / 'whole')
+
+
+def test_a_model_that_takes_too_long_is_given_up(generated, monkeypatch):
+  def endless(_):
+    while True:
+      pass
+
+  before = contents(generated[1])
+  fake = type('Source', (), {'load': staticmethod(endless)})
+  monkeypatch.setattr(pipeline.sources, 'source', lambda _: fake)
+  job = Job(str(generated[1]), 1, None, '', Settings(), Limits(seconds=0.2))
+  assert pipeline.run_job(job).reason == 'it took more than 0.2 s'
+  assert contents(generated[1]) == before
+
+
+def test_a_model_that_needs_too_much_memory_is_given_up(generated, monkeypatch):
+  def huge(_):
+    return np.ones(2**44)  # 128 TiB: refused without any limit of ours
+
+  fake = type('Source', (), {'load': staticmethod(huge)})
+  monkeypatch.setattr(pipeline.sources, 'source', lambda _: fake)
+  job = Job(str(generated[1]), 1, None, '', Settings(), Limits(memory=2**40))
+  assert pipeline.run_job(job).reason == 'it needs more than 1024 GiB of memory'
+
+
+def test_a_disk_that_is_full_ends_the_run(meshes, tmp_path, threads, monkeypatch):
+  """No model fails for it: with more space the same command goes on."""
+
+  def full(*_):
+    raise UserError('cannot write the record: No space left on device')
+
+  monkeypatch.setattr(dataset_lib, 'write_record', full)
+  with pytest.raises(UserError, match='No space left'):
+    generate.run(parsed(*arguments(meshes, tmp_path / 'data')))
+  dataset = dataset_lib.open_dataset(str(tmp_path / 'data'))
+  assert not dataset_lib.surface_counts(dataset).any()
+  monkeypatch.undo()
+  monkeypatch.setattr(generate, 'process_executor', ThreadPoolExecutor)
+  generate.run(parsed(*arguments(meshes, tmp_path / 'data')))
+  assert (dataset_lib.surface_counts(dataset) > 0).tolist() == [True, False, True]
+
+
+class LostExecutor(Executor):
+  """An executor whose scheduler goes away, or whose workers do."""
+
+  def __init__(self, error):
+    self.error = error
+
+  def submit(self, *_):
+    future = Future()
+    future.set_exception(self.error)
+    return future
+
+
+def test_a_job_whose_worker_is_lost_again_and_again():
+  jobs = [Job('', row, None, '', None, None) for row in range(3)]
+  outcomes = list(run_jobs(jobs, lambda _: LostExecutor(RuntimeError('KilledWorker')), 2))
+  assert [o.reason for o in outcomes] == ['its worker was lost: KilledWorker'] * 3
+
+
+def test_a_lost_scheduler_ends_the_run():
+  jobs = [Job('', 0, None, '', None, None)]
+  with pytest.raises(UserError, match='the same command goes on'):
+    list(run_jobs(jobs, lambda _: LostExecutor(CancelledError()), 2))

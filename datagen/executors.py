@@ -1,0 +1,65 @@
+"""Where the work is done: processes of this machine, or a Dask cluster's workers.
+
+Both are executors as `concurrent.futures` has them, which is all that datagen/pipeline.py knows.
+"""
+
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for_process
+
+import drjit
+
+from cvn.errors import UserError
+
+CONNECT_TIMEOUT = 30  # seconds
+
+
+def process_executor(workers: int) -> Executor:
+  """Local processes, each on one core.
+
+  They are started afresh (spawn), not forked: the parent has threads that a fork would leave dead.
+  """
+  for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
+    os.environ.setdefault(name, '1')  # read by the children as they load their libraries
+  return ProcessPoolExecutor(workers, mp_context=get_context('spawn'), initializer=_start_worker)
+
+
+@contextlib.contextmanager
+def dask_client(address: str) -> Iterator:
+  """A client of the Dask scheduler at an address; its `get_executor` gives executors.
+
+  Args:
+    address: as `tcp://10.0.0.1:8786`, or the name of a scheduler's --scheduler-file.
+
+  Raises:
+    UserError: Dask is not installed, or no scheduler answers.
+  """
+  try:
+    from distributed import Client
+  except ImportError as e:
+    raise UserError("--scheduler needs Dask: pip install 'cvn[dask]'") from e
+  where = {'scheduler_file': address} if os.path.isfile(address) else {'address': address}
+  try:
+    client = Client(**where, timeout=CONNECT_TIMEOUT)
+  except (OSError, ValueError) as e:
+    raise UserError(f'no Dask scheduler answers at --scheduler={address}') from e
+  with client:
+    yield client
+
+
+def _start_worker() -> None:
+  drjit.set_thread_count(1)
+  # A terminal sends its interrupt to the whole group of processes. Mitsuba would end its rendering
+  # in the middle, and half a view would count as one: the parent alone decides when to stop.
+  os.setpgrp()
+  threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+  """A parent that is killed takes no leave of its workers, who would wait for jobs forever."""
+  wait_for_process([parent_process().sentinel])
+  os._exit(1)

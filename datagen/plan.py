@@ -1,0 +1,156 @@
+"""Which models a data set is to hold, in which rows, and whether one that is there agrees."""
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+
+from cvn import dataset as dataset_lib
+from cvn.dataset import Dataset, Manifest, Model
+from cvn.errors import UserError
+from datagen import sources
+from datagen.pipeline import Settings
+from datagen.sources import SourceModel
+from datagen.splits import read_splits, split_of
+
+VERSION = 2  # of what is generated: the same settings and version give the same bytes
+
+
+def list_models(
+  source: str, categories: Sequence[str], input_dir: str | None, limit: int | None, seed: int
+) -> list[SourceModel]:
+  """All the models to make, category by category.
+
+  Raises:
+    UserError: there are none, or two of one id; and what the source itself raises.
+  """
+  wanted = [c.strip() for c in categories if c.strip()]
+  if not wanted:
+    raise UserError('--category names no category')
+  if len(set(wanted)) < len(wanted):
+    raise UserError(f'--category names one twice: {",".join(wanted)}')
+  listing = sources.source(source).list_models
+  models = [m for c in wanted for m in listing(c, input_dir, limit, seed)]
+  if not models:
+    raise UserError(f'{input_dir or source} has no model of category {",".join(wanted)}')
+  model_id, count = Counter(m.id for m in models).most_common(1)[0]
+  if count > 1:
+    raise UserError(f'{count} models have the id {model_id}: make one category a data set')
+  return models
+
+
+def plan(
+  models: Sequence[SourceModel],
+  source: str,
+  *,
+  splits_folder: str | None = None,
+  input_dir: str | None = None,
+) -> list[Model]:
+  """What the data set says of each model.
+
+  Args:
+    models: as the source lists them.
+    source: its name.
+    splits_folder: where lists of ids are; None for the split that the source says or, where it
+      says none, a hash of the id.
+    input_dir: paths are kept relative to it, so that the folder may move.
+
+  Raises:
+    UserError: the lists are missing, or leave a model out.
+  """
+  lists = {}
+  if splits_folder is not None:
+    lists = {c: read_splits(splits_folder, c) for c in {m.category for m in models}}
+
+  def split(m):
+    if splits_folder is None:
+      return m.split or split_of(m.id)
+    if m.id not in lists[m.category]:
+      raise UserError(f'{splits_folder} has no list for category {m.category} that names {m.id}')
+    return lists[m.category][m.id]
+
+  return [
+    Model(
+      id=m.id,
+      category=m.category,
+      split=split(m),
+      source=source,
+      path=_relative(m.path, input_dir),
+      licence=m.licence,
+      creator=m.creator,
+    )
+    for m in models
+  ]
+
+
+def _relative(path: str, input_dir: str | None) -> str:
+  """A path below the input folder; beside it, where the input is a file."""
+  if not path:
+    return ''
+  if input_dir and os.path.isdir(input_dir):
+    return os.path.relpath(path, input_dir)
+  return os.path.basename(path)
+
+
+def open_or_create(
+  root: str, models: Sequence[Model], settings: Settings, *, append: bool
+) -> tuple[Dataset, list[int]]:
+  """Makes the data set, or opens the one that is there when it goes with this one.
+
+  Args:
+    root: its folder or URL.
+    models: that it is to hold.
+    settings: how its records are made.
+    append: whether to plan the models that a data set that is there does not hold.
+
+  Returns:
+    (the data set, the row of each model).
+
+  Raises:
+    UserError: the data set that is there was made with other settings, holds another model of the
+      same id, or lacks models without `append`.
+  """
+  settings_json = {
+    'shading': settings.shading,
+    'separating': settings.separating,
+    'tolerance': settings.tolerance,
+    'similarity': settings.similarity,
+    'version': VERSION,
+  }
+  manifest = Manifest(
+    tuple(models),
+    settings.azimuths,
+    settings.image_size,
+    settings.grid_size,
+    dataset_lib.SURFACE_CAPACITY,
+    settings_json,
+  )
+  if dataset_lib.read_json(root, 'manifest.json') is None:
+    return dataset_lib.create(root, manifest), list(range(len(models)))
+  dataset = dataset_lib.open_dataset(root)
+  old = dataset.manifest
+  way_out = 'choose another --output, or delete it'
+  for name in sorted(manifest.settings | old.settings):
+    was, now = old.settings.get(name), manifest.settings.get(name)
+    if was != now:
+      raise UserError(f'{root} holds a data set with {name} {was}, not {now}: {way_out}')
+  if old._replace(models=()) != manifest._replace(models=()):
+    raise UserError(f'{root} holds a data set with other sizes or views: {way_out}')
+  row_of = {m.id: row for row, m in enumerate(old.models)}
+  for m in models:
+    if m.id in row_of and old.models[row_of[m.id]] != m:
+      differs = [
+        f'{name} {was!r}, not {now!r}'
+        for name, was, now in zip(Model._fields, old.models[row_of[m.id]], m, strict=True)
+        if was != now
+      ]
+      raise UserError(f'{root} holds a model {m.id} with {", ".join(differs)}: {way_out}')
+  new = [m for m in models if m.id not in row_of]
+  if new and not append:
+    raise UserError(
+      f'{root} holds a data set of {len(old.models)} models without {len(new)} of these'
+      f' {len(models)} (first: {new[0].id}): give --append to add them, or {way_out}'
+    )
+  if new:
+    dataset = dataset_lib.extend(dataset, new)
+    row_of |= {m.id: len(old.models) + n for n, m in enumerate(new)}
+  return dataset, [row_of[m.id] for m in models]

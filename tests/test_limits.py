@@ -1,0 +1,75 @@
+"""Work that takes too long or too much ends with a reason, and what called it goes on."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from cvn.errors import UserError
+from datagen import limits
+
+MEBIBYTE = 2**20
+
+
+def test_work_in_time_returns_its_value():
+  assert limits.call_within(60, divmod, 7, 2) == (3, 1)
+
+
+def test_errors_of_the_work_are_raised():
+  with pytest.raises(ZeroDivisionError):
+    limits.call_within(60, divmod, 7, 0)
+
+
+def endless():
+  while True:
+    pass
+
+
+def stubborn():
+  """Catches everything, once: as readers of files do with `except BaseException`."""
+  try:
+    endless()
+  except BaseException:
+    endless()
+
+
+@pytest.mark.parametrize('work', [endless, stubborn])
+def test_endless_work_is_given_up(work):
+  with pytest.raises(UserError, match=r'took more than 0\.2 s'):
+    limits.call_within(0.2, work)
+
+
+def test_native_work_that_does_not_return_ends_the_process():
+  code = (
+    'import time; from datagen import limits; limits.call_within(0.1, time.sleep, 600, grace=1)'
+  )
+  start = time.monotonic()
+  finished = subprocess.run([sys.executable, '-c', code], timeout=300)
+  assert finished.returncode == limits.EXIT_STATUS
+  assert time.monotonic() - start < 300
+
+
+@pytest.mark.skipif(not sys.platform.startswith('linux'), reason='only Linux heeds the limit')
+def test_memory_is_bounded_and_the_bound_is_taken_away_again():
+  # In a process of its own: the test session has more data than is good for a small limit.
+  code = f"""
+import numpy as np
+from datagen import limits
+with limits.memory_limit({1024 * MEBIBYTE}):
+  np.ones({16 * MEBIBYTE})
+  try:
+    np.ones({1024 * MEBIBYTE})
+    raise SystemExit(3)
+  except MemoryError:
+    pass
+np.empty({1024 * MEBIBYTE})
+"""
+  finished = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+  assert finished.returncode == 0, finished.stderr
+
+
+def test_within_the_limit_nothing_changes():
+  with limits.memory_limit(2**50):
+    assert np.ones(10).sum() == 10
