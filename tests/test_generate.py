@@ -136,7 +136,6 @@ def test_a_run_that_was_cut_short_ends_with_the_same_bytes(
     (['--shading=lit'], 'shading flat, not lit'),
     (['--tolerance=2'], 'tolerance 1.0, not 2.0'),
     (['--similarity=0.2'], 'similarity 0.1, not 0.2'),
-    (['--separating=26'], 'separating 6, not 26'),
     (['--category=chair'], "model a with category 'box', not 'chair'"),
     (['--category=chair', '--append'], "model a with category 'box', not 'chair'"),
   ],

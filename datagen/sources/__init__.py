@@ -12,10 +12,6 @@ from typing import Any, NamedTuple
 SOURCES = {
   'meshes': 'datagen.sources.mesh_folder',
   'procedural': 'datagen.sources.procedural',
-  'shapenet': 'datagen.sources.shapenet',
-  'sweethome3d': 'datagen.sources.sweethome3d',
-  'humans': 'datagen.sources.humans',
-  'im2avatar_release': 'datagen.sources.im2avatar_release',
 }
 
 
