@@ -1,4 +1,4 @@
-"""One picture of a data set's first models, for a person to check in one look.
+"""One picture of some models of a data set, for a person to check in one look.
 
 A row a model. Views stand beside the colour voxels drawn by the same cameras, so that anything
 mirrored or turned shows. The flow of the first view is shown in the paper's colour code on the
@@ -6,31 +6,31 @@ voxels, from the front and from behind, and last come the colours that this flow
 view: where flows point right, they look like the voxels' own.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cvn.camera import IMAGE_SIZE
-from cvn.dataset import Dataset, Record, read_record, surface_counts
+from cvn.dataset import Dataset, Record, read_record
 from cvn.figures import draw_voxels, flow_color_code, grid_of_images, over
 from cvn.grid import ColoredVoxels
 
-MODELS = 8
 PAIRS = (1, 4)  # views shown beside the voxels from the same side: 30 and 120 degrees
 FLOW_VIEW = 1  # the view whose flow is shown
 ELEVATION = 20  # degrees, of the voxels seen from behind
 GROUND = (245, 245, 245)
 
 
-def contact_sheet(dataset: Dataset, *, models: int = MODELS) -> np.ndarray:
-  """Draws the first models that are made.
+def contact_sheet(dataset: Dataset, rows: Sequence[int]) -> np.ndarray:
+  """Draws models, one below the other.
 
   Args:
-    dataset: the data set; one model of it is made at least.
-    models: how many of them at most.
+    dataset: the data set.
+    rows: of models that are made, one at least.
 
   Returns:
     uint8 [H, W, 3].
   """
-  rows = np.flatnonzero(surface_counts(dataset))[:models]
   pictures = [_pictures(dataset, read_record(dataset, row)) for row in rows]
   titles = list(pictures[0])
   legend = [flow_legend() if t.startswith('flow') else None for t in titles]

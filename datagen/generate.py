@@ -5,7 +5,7 @@ python -m datagen.generate --source=meshes --category=chair --input=DIR --output
 
 The same command again makes only what is missing; --append adds other models to a data set that is
 there. Models that fail are listed, with the reason, in failures.json, and left out.
-contact_sheet.png shows the first models.
+contact_sheet.png shows the first models; python -m datagen.inspect tells of all of them.
 
 --scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
 its machines, a shared file system or, for --output, a bucket (gs://, s3://).
@@ -36,6 +36,7 @@ from datagen.plan import list_models, open_or_create, plan
 from datagen.render import SHADINGS
 
 REASONS_SHOWN = 5
+SHEET_MODELS = 8  # on the contact sheet
 DASK_JOBS = 4096  # in a scheduler's hands at a time
 
 
@@ -128,7 +129,8 @@ def run(f: flags.FlagValues) -> None:
   if not done.any():
     model_id, reason = next(iter(failures.items()))
     raise UserError(f'not one of {len(planned)} models could be made; {model_id}: {reason}')
-  write_png(dataset, 'contact_sheet.png', contact_sheet(dataset))
+  sheet = contact_sheet(dataset, np.flatnonzero(done)[:SHEET_MODELS])
+  write_png(dataset, 'contact_sheet.png', sheet)
   print(summary(dataset, done, outcomes, failures))
 
 

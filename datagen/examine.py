@@ -1,0 +1,88 @@
+"""What can be told of a model from its record, and which models look wrong.
+
+Colour distances are Euclidean, of RGB in [0, 1].
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cvn.dataset import Record
+from datagen.flow import FIDELITY
+
+FEW_VOXELS = 300  # a flat square of 17 voxels' side
+ONE_COLOR = 0.02  # mean distance to the mean colour; texture and shadow are beyond it
+INSIDE_OUT = -0.02  # signed volume, of the bounding box's
+SLENDER = 2.0  # how many times taller or flatter than its category's median is far from upright
+PEERS = 5  # models of a category that make a median
+
+
+class Examined(NamedTuple):
+  """One model in numbers."""
+
+  voxels: int
+  visible: float  # share of (view, voxel) pairs that are visible
+  visible_error: float  # mean distance of visible voxels' colours to what their flow fetches
+  visible_faithful: float  # share of visible voxels for which that is below FIDELITY
+  error: float  # mean distance over all pairs
+  color_spread: float  # mean distance of the voxels' colours to their mean
+  uprightness: float  # height over the longer of width and depth
+  missing: int  # files of textures and materials that were not there
+  volume: float  # signed, of its bounding box's
+
+
+def examine(record: Record) -> Examined:
+  """Measures one model. Under any shading but flat, errors contain the light."""
+  height, width = record.views.shape[1:3]
+  size = np.array([width, height])
+  column, row = np.moveaxis(np.minimum((record.flow * size).astype(int), size - 1), -1, 0)
+  view = np.arange(len(record.views))[:, None]
+  sampled = record.views[view, row, column, :3].astype(np.float32)
+  color = record.surface_color.astype(np.float32)
+  error = np.linalg.norm(sampled - color, axis=-1) / 255
+  seen = error[record.visible] if record.visible.any() else np.zeros(1)
+  extent = np.ptp(record.surface_index.astype(int), axis=0) + 1
+  return Examined(
+    voxels=len(record.surface_index),
+    visible=float(record.visible.mean()),
+    visible_error=float(seen.mean()),
+    visible_faithful=float((seen < FIDELITY).mean()),
+    error=float(error.mean()),
+    color_spread=float(np.linalg.norm(color - color.mean(0), axis=-1).mean() / 255),
+    uprightness=float(extent[1] / max(extent[0], extent[2])),
+    missing=int(record.facts.missing),
+    volume=float(record.facts.volume),
+  )
+
+
+def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[list[str]]:
+  """What speaks against each model; most lists are empty.
+
+  Args:
+    examined: the models.
+    categories: of each.
+  """
+  tall = {}
+  for category in set(categories):
+    values = [
+      np.log(e.uprightness) for e, c in zip(examined, categories, strict=True) if c == category
+    ]
+    if len(values) >= PEERS:
+      tall[category] = np.median(values)
+  result = []
+  for e, category in zip(examined, categories, strict=True):
+    reasons = []
+    if e.voxels < FEW_VOXELS:
+      reasons.append(f'almost empty ({e.voxels} voxels)')
+    if e.color_spread < ONE_COLOR:
+      reasons.append('all of one colour')
+    if e.volume < INSIDE_OUT:
+      reasons.append(f'inside out (signed volume {e.volume:.2f} of its box)')
+    times = np.exp(np.log(e.uprightness) - tall.get(category, np.log(e.uprightness)))
+    if max(times, 1 / times) > SLENDER:
+      reasons.append(f'far from upright ({times:.1f} times as tall as the median {category})')
+    if e.missing:
+      reasons.append(f'{e.missing} files of textures or materials missing')
+    result.append(reasons)
+  return result

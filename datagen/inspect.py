@@ -1,0 +1,150 @@
+r"""Looks through a data set: what it holds, how good it is, and which models look wrong.
+
+python -m datagen.inspect --data=DIR
+python -m datagen.inspect --data=DIR --id=ID
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from absl import flags
+from PIL import Image
+from tqdm import tqdm
+
+from cvn import errors
+from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, read_record, surface_counts
+from cvn.errors import UserError
+from cvn.files import atomic_write
+from datagen.contact_sheet import contact_sheet
+from datagen.examine import Examined, examine, suspicions
+from datagen.flow import FIDELITY
+
+BINS = 10  # of the histogram
+BAR = 40  # characters
+SHOWN = 20  # suspicious models, and reasons of failures
+SHEET_MODELS = 12
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  own = {'flag_values': f}
+  flags.DEFINE_string('data', None, 'The folder or URL of the data set.', **own)
+  flags.DEFINE_string('id', None, 'Only this model.', **own)
+  flags.DEFINE_string(
+    'sheet',
+    'inspect.png',
+    'The contact sheet: suspicious models first, then others; nothing is drawn where it is empty.',
+    **own,
+  )
+  flags.mark_flag_as_required('data', f)
+
+
+def main(_) -> None:
+  run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> None:
+  """Reads the data set and prints what is in it."""
+  dataset = open_dataset(f.data)
+  models, counts = dataset.manifest.models, surface_counts(dataset)
+  rows = np.flatnonzero(counts)
+  if f.id is not None:
+    rows = [row for row, m in enumerate(models) if m.id == f.id]
+    if not rows:
+      raise UserError(f'{f.data} has no model {f.id}')
+  if not len(rows):
+    raise UserError(f'{f.data} holds no finished model (make them: datagen.generate)')
+  examined = [examine(read_record(dataset, row)) for row in tqdm(rows, unit='model', disable=None)]
+  found = suspicions(examined, [models[row].category for row in rows])
+  if f.id is not None:
+    print(describe(models[rows[0]], examined[0], found[0]))
+  else:
+    print(overview(dataset, rows, examined, found))
+  if f.sheet:
+    order = np.argsort([not reasons for reasons in found], kind='stable')[:SHEET_MODELS]
+    with atomic_write(f.sheet) as path:
+      Image.fromarray(contact_sheet(dataset, [rows[i] for i in order])).save(path, 'PNG')
+    print(f'look at {f.sheet}')
+
+
+def describe(model: Model, examined: Examined, reasons: Sequence[str]) -> str:
+  """All about one model."""
+  lines = [f'{k:10} {v}' for k, v in model._asdict().items() if v]
+  lines += [
+    f'{"voxels":10} {examined.voxels}',
+    f'{"visible":10} {examined.visible:.1%} of the voxels of a view',
+    f'{"colour":10} {_quality([examined])}',
+    f'{"volume":10} {examined.volume:.3f} of its bounding box, signed',
+  ]
+  return '\n'.join(lines + [f'suspicious {r}' for r in reasons])
+
+
+def overview(
+  dataset: Dataset,
+  rows: Sequence[int],
+  examined: Sequence[Examined],
+  found: Sequence[Sequence[str]],
+) -> str:
+  """All about a data set.
+
+  Args:
+    dataset: the data set.
+    rows: of its finished models.
+    examined: those models.
+    found: what speaks against each.
+  """
+  models = [dataset.manifest.models[row] for row in rows]
+  planned = Counter(m.category for m in dataset.manifest.models)
+  failures = read_json(dataset.root, 'failures.json') or {}
+  lines = [f'{dataset.root}: {len(models)} of {planned.total()} models are made']
+  header = f'{"category":16}{"planned":>9}{"made":>9}' + ''.join(f'{s:>9}' for s in SPLITS)
+  lines += ['', header + f'{"visible":>9}{"within":>9}{"error":>9}']
+  for category in sorted(planned):
+    mine = [i for i, m in enumerate(models) if m.category == category]
+    split = Counter(models[i].split for i in mine)
+    line = f'{category:16}{planned[category]:9}{len(mine):9}'
+    line += ''.join(f'{split[s]:9}' for s in SPLITS)
+    if mine:
+      mean = np.mean([examined[i][1:4] for i in mine], axis=0)
+      line += f'{mean[0]:9.1%}{mean[2]:9.1%}{mean[1]:9.3f}'
+    lines.append(line)
+  lines.append(
+    f'(visible: of the voxels of a view; within: of these, colour within {FIDELITY} of what the'
+    ' flow fetches; error: mean)'
+  )
+  lines += ['', f'colours of all: {_quality(examined)}']
+  lines += ['', 'licence']
+  licences = Counter(m.licence or 'not stated' for m in models)
+  lines += [f'{count:9}  {licence}' for licence, count in licences.most_common()]
+  lines += ['', 'surface voxels', *_histogram([e.voxels for e in examined])]
+  lines += ['', f'{len(failures)} failed']
+  reasons = Counter(failures.values()).most_common(SHOWN)
+  lines += [f'{count:9}  {reason}' for reason, count in reasons]
+  suspicious = [(m.id, r) for m, r in zip(models, found, strict=True) if r]
+  lines += ['', f'{len(suspicious)} suspicious']
+  lines += [f'  {model_id}: {"; ".join(r)}' for model_id, r in suspicious[:SHOWN]]
+  if len(suspicious) > SHOWN:
+    lines.append(f'  and {len(suspicious) - SHOWN} more; look at one with --id=ID')
+  return '\n'.join(lines)
+
+
+def _quality(examined: Sequence[Examined]) -> str:
+  mean = Examined(*np.mean(examined, axis=0))
+  return (
+    f'where the flow points, off by {mean.visible_error:.3f} for visible voxels'
+    f' ({mean.visible_faithful:.1%} within {FIDELITY}), by {mean.error:.3f} for all'
+  )
+
+
+def _histogram(values: Sequence[int]) -> list[str]:
+  count, edges = np.histogram(values, BINS)
+  bars = np.ceil(count / count.max() * BAR).astype(int)
+  return [
+    f'{low:9.0f}  {"#" * bar} {n}' for low, bar, n in zip(edges[:-1], bars, count, strict=True)
+  ]
+
+
+if __name__ == '__main__':
+  define_flags(flags.FLAGS)
+  errors.run(main)

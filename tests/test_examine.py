@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+import synthetic
+
+from cvn.dataset import Facts, Record
+from datagen.examine import examine, suspicions
+
+GOOD = examine(
+  synthetic.make_record(0, image_size=64, grid_size=32)._replace(facts=Facts(100, 0, 0.5))
+)
+
+
+def two_voxels():
+  """A view of two pixels, red and blue; both voxels are red, and one is hidden."""
+  views = np.array([[[[255, 0, 0, 255], [0, 0, 255, 255]]]], np.uint8)
+  return Record(
+    views,
+    surface_index=np.array([[0, 0, 0], [2, 8, 4]], np.uint8),
+    surface_color=np.array([[255, 0, 0], [255, 0, 0]], np.uint8),
+    visible=np.array([[True, False]]),
+    flow=np.array([[[0.25, 0.5], [0.75, 0.5]]]),
+    facts=Facts(faces=1, missing=3, volume=-0.5),
+  )
+
+
+def test_numbers_of_a_model_known_by_heart():
+  e = examine(two_voxels())
+  assert (e.voxels, e.visible, e.missing, e.volume) == (2, 0.5, 3, -0.5)
+  assert (e.visible_error, e.visible_faithful) == (0, 1)
+  assert e.error == pytest.approx(np.sqrt(2) / 2)  # the hidden one fetches blue for red
+  assert e.color_spread == 0
+  assert e.uprightness == 9 / 5
+
+
+def test_the_seen_voxel_fetches_a_wrong_colour():
+  e = examine(two_voxels()._replace(visible=np.array([[False, True]])))
+  assert e.visible_error == pytest.approx(np.sqrt(2))
+  assert e.visible_faithful == 0
+
+
+def test_nothing_visible_is_no_error():
+  assert examine(two_voxels()._replace(visible=np.array([[False, False]]))).visible_error == 0
+
+
+def test_a_good_model_is_not_suspected():
+  assert suspicions([GOOD], ['ball']) == [[]]
+
+
+@pytest.mark.parametrize(
+  'change, reason',
+  [
+    ({'voxels': 12}, 'almost empty (12 voxels)'),
+    ({'color_spread': 0.001}, 'all of one colour'),
+    ({'volume': -0.5}, 'inside out (signed volume -0.50 of its box)'),
+    ({'missing': 2}, '2 files of textures or materials missing'),
+  ],
+)
+def test_suspicions(change, reason):
+  assert suspicions([GOOD, GOOD._replace(**change)], ['ball'] * 2) == [[], [reason]]
+
+
+def test_a_model_on_its_side_among_upright_ones():
+  upright = [GOOD._replace(uprightness=u) for u in (0.9, 1.0, 1.0, 1.1, 1.2)]
+  lying = GOOD._replace(uprightness=0.3)
+  found = suspicions([*upright, lying], ['chair'] * 6)
+  assert found[:5] == [[]] * 5
+  assert found[5] == ['far from upright (0.3 times as tall as the median chair)']
+  # Other categories have other shapes, and a few models make no median.
+  assert suspicions([*upright, lying], ['chair'] * 5 + ['car']) == [[]] * 6
+  assert suspicions([upright[0], lying], ['chair'] * 2) == [[], []]
