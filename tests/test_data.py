@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import shutil
 
 import numpy as np
 import pytest
@@ -136,18 +135,24 @@ def test_batch_shapes_and_types(made):
 
 
 def test_reading_touches_one_view_only(tmp_path):
-  """With the other views' chunks gone from the disk, this one still reads; and they do not."""
+  """With the other views' chunks spoiled on the disk, this one still reads; and they do not."""
   tiny = {'azimuths': (0, 120, 240), 'image_size': 16, 'grid_size': 16, 'capacity': 1024}
   made = synthetic.make_dataset(tmp_path / 'set', 1, **tiny)
   slots, expected = data.surface_slots(made), data.read_color(made, 0, 1, slots=1024)
-  for name, view in itertools.product(('views', 'flow', 'visible'), ('0', '2')):
-    chunk = tmp_path / 'set' / name / 'c' / '0' / view
-    shutil.rmtree(chunk)
-    chunk.mkdir()
-    (chunk / '0').mkdir()  # a folder where a file is due: touching it is an error
+  for name in ('views', 'flow', 'visible'):
+    (shard,) = (p for p in (tmp_path / 'set' / name / 'c').rglob('*') if p.is_file())
+    content = bytearray(shard.read_bytes())
+    # A shard ends in (offset, length) of its chunks and a checksum of these.
+    index = np.frombuffer(content[-4 - 3 * 16 : -4], '<u8').reshape(3, 2)
+    for offset, length in index[[0, 2]].astype(int):
+      content[offset : offset + length] = bytes(length)
+    shard.write_bytes(content)
   got = data.read_color(made, 0, 1, slots=slots)
   np.testing.assert_array_equal(got.image, expected.image)
   np.testing.assert_array_equal(got.flow, expected.flow[:slots])
+  for view in (0, 2):
+    with pytest.raises(UserError):
+      data.read_color(made, 0, view, slots=slots)
 
 
 def test_damaged_files_name_the_model(tmp_path):
