@@ -59,7 +59,7 @@ def test_same_seed_same_bytes(category):
   model = procedural.list_models(category, '', 4, 7)[3]
   first = procedural.load(model)
   again = procedural.load(pickle.loads(pickle.dumps(model)))
-  for x, y in zip(first[:-1], again[:-1], strict=True):
+  for x, y in zip(first[:5], again[:5], strict=True):
     assert x.tobytes() == y.tobytes()
   assert [t.tobytes() for t in first.textures] == [t.tobytes() for t in again.textures]
 
