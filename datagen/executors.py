@@ -15,18 +15,24 @@ from multiprocessing.connection import wait as wait_for_process
 import drjit
 
 from cvn.errors import UserError
+from datagen.limits import limit_memory
 
 CONNECT_TIMEOUT = 30  # seconds
 
 
-def process_executor(workers: int) -> Executor:
-  """Local processes, each on one core.
+def process_executor(workers: int, memory: int) -> Executor:
+  """Local processes, each on one core and with at most `memory` bytes.
 
   They are started afresh (spawn), not forked: the parent has threads that a fork would leave dead.
   """
   for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ.setdefault(name, '1')  # read by the children as they load their libraries
-  return ProcessPoolExecutor(workers, mp_context=get_context('spawn'), initializer=_start_worker)
+  return ProcessPoolExecutor(
+    workers,
+    mp_context=get_context('spawn'),
+    initializer=_start_worker,
+    initargs=(memory,),
+  )
 
 
 @contextlib.contextmanager
@@ -54,7 +60,8 @@ def dask_client(address: str) -> Iterator:
     yield client
 
 
-def _start_worker() -> None:
+def _start_worker(memory: int) -> None:
+  limit_memory(memory)
   drjit.set_thread_count(1)
   # A terminal sends its interrupt to the whole group of processes. Mitsuba would end its rendering
   # in the middle, and half a view would count as one: the parent alone decides when to stop.

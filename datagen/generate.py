@@ -12,6 +12,7 @@ its machines, a shared file system or, for --output, a bucket (gs://, s3://).
 """
 
 import contextlib
+import functools
 import io
 import os
 from collections import Counter
@@ -31,12 +32,14 @@ from datagen import sources
 from datagen.contact_sheet import contact_sheet
 from datagen.executors import dask_client, process_executor
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
-from datagen.pipeline import Job, Limits, Outcome, Settings, run_jobs
+from datagen.pipeline import Job, Outcome, Settings, run_jobs
 from datagen.plan import list_models, open_or_create, plan
 from datagen.render import SHADINGS
 
 REASONS_SHOWN = 5
 SHEET_MODELS = 8  # on the contact sheet
+TIMEOUT = 300  # seconds a model
+MEMORY_LIMIT = 4  # GiB a worker
 DASK_JOBS = 4096  # in a scheduler's hands at a time
 
 
@@ -75,12 +78,13 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
   flags.DEFINE_string('scheduler', None, 'A Dask scheduler whose workers do the work.', **own)
   flags.DEFINE_float(
-    'timeout', Limits().seconds, 'Seconds after which a model is given up.', lower_bound=0.1, **own
+    'timeout', TIMEOUT, 'Seconds after which a model is given up.', lower_bound=0.1, **own
   )
   flags.DEFINE_float(
     'memory_limit',
-    Limits().memory / 2**30,
-    'GiB of memory that a worker may have; a model that needs more is given up.',
+    MEMORY_LIMIT,
+    'GiB that a local worker may have; a model that needs more is given up. Dask workers have a'
+    ' --memory-limit of their own.',
     lower_bound=0.5,
     **own,
   )
@@ -98,11 +102,11 @@ def run(f: flags.FlagValues) -> None:
     tolerance=f.tolerance,
     similarity=f.similarity,
   )
-  limits = Limits(f.timeout, int(f.memory_limit * 2**30))
   found = list_models(f.source, f.category, f.input, f.limit, f.seed)
   planned = plan(found, f.source, splits_folder=f.splits, input_dir=f.input)
   with contextlib.ExitStack() as stack:
-    make_executor, in_hand = process_executor, None
+    memory, in_hand = int(f.memory_limit * 2**30), None
+    make_executor = functools.partial(process_executor, memory=memory)
     if f.scheduler:
       client = stack.enter_context(dask_client(f.scheduler))
       make_executor, in_hand = lambda _: client.get_executor(pure=False), DASK_JOBS
@@ -110,7 +114,7 @@ def run(f: flags.FlagValues) -> None:
     counts = dataset_lib.surface_counts(dataset)
     models = {m.id: m for m in found}
     jobs = [
-      Job(f.output, row, models[m.id], f.source, settings, limits)
+      Job(f.output, row, models[m.id], f.source, settings, f.timeout)
       for m, row in zip(planned, rows, strict=True)
       if not counts[row]
     ]

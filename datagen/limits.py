@@ -1,10 +1,9 @@
 """Limits of time and memory for work on what strangers send."""
 
-import contextlib
 import ctypes
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 
 from cvn.errors import UserError
@@ -66,20 +65,14 @@ def call_within(seconds: float, function: Callable, *args, grace: float = GRACE)
   return future.result()
 
 
-@contextlib.contextmanager
-def memory_limit(size: int) -> Iterator[None]:
-  """Within it, the process cannot have more than `size` bytes of data: MemoryError is raised.
+def limit_memory(size: int) -> None:
+  """From now on this process cannot have more than `size` bytes of data: MemoryError is raised.
 
   Shared libraries and files that are mapped do not count. Systems other than Linux may not heed it.
+  It is for processes that work for others: nothing in this one is spared.
   """
   if resource is None:
-    yield
     return
-  soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-  if hard != resource.RLIM_INFINITY:
-    size = min(size, hard)
-  resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
-  try:
-    yield
-  finally:
-    resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+  _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+  soft = size if hard == resource.RLIM_INFINITY else min(size, hard)
+  resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
