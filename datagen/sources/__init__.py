@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 SOURCES = {
+  'humans': 'datagen.sources.humans',
   'meshes': 'datagen.sources.mesh_folder',
   'procedural': 'datagen.sources.procedural',
 }

@@ -1,27 +1,14 @@
-"""Source `meshes`: every mesh file of a folder and its subfolders, read with trimesh.
+"""Source `meshes`: every mesh file of a folder and its subfolders (datagen/reading.py)."""
 
-OBJ (+MTL), glTF and GLB, PLY, DAE, OFF and STL. Files are taken to be y up and facing +z, as glTF
-says and most OBJ files are; DAE files say which axis is up and are turned accordingly.
-"""
-
-import logging
 import os
-import re
-import warnings
 import zlib
 from collections import Counter
 
-import numpy as np
-import trimesh
-
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh, check, from_trimesh
+from datagen.files import folder_files
+from datagen.mesh import TexturedMesh
+from datagen.reading import EXTENSIONS, read_mesh
 from datagen.sources import SourceModel
-
-EXTENSIONS = ('.obj', '.glb', '.gltf', '.ply', '.dae', '.off', '.stl')
-
-# What trimesh would print about a file either has no say in shape and colour or ends in an error.
-logging.getLogger('trimesh').setLevel(logging.CRITICAL)
 
 
 def list_models(
@@ -59,7 +46,7 @@ def list_models(
     if shared[id] > 1:
       ids[path] = f'{id}_{zlib.crc32(path.encode(errors="surrogateescape")):08x}'
   models = [
-    SourceModel(id=id, category=category, path=os.path.join(input_dir, path))
+    SourceModel(id=id, category=category, path=os.path.join(input_dir, path), detail=input_dir)
     for path, id in sorted(ids.items(), key=lambda item: item[1])
   ]
   return models[: limit or None]
@@ -71,64 +58,5 @@ def load(model: SourceModel) -> TexturedMesh:
   Raises:
     UserError: the file cannot be read, or holds no mesh that can be normalised.
   """
-  path = model.path
-  extension = os.path.splitext(path)[1].lower()
-  try:
-    with warnings.catch_warnings():
-      warnings.simplefilter('ignore')  # numpy's and PIL's about odd files
-      # process=False: merging vertices would also merge their colours.
-      scene = trimesh.load_scene(path, resolver=_Resolver(path, allow_anywhere=True), process=False)
-      mesh = from_trimesh(scene, gltf=extension in ('.glb', '.gltf'))
-    if extension == '.dae':
-      mesh = _turn_up(mesh, path)
-  except Exception as e:  # trimesh and its readers raise whatever a broken file leads them to
-    raise UserError(f'{path} cannot be read as {extension[1:].upper()}: {_reason(e)}') from e
-  try:
-    check(mesh)
-  except UserError as e:
-    raise UserError(f'{path}: {e}{_compressed(path, extension)}') from e
-  return mesh
-
-
-class _Resolver(trimesh.resolvers.FilePathResolver):
-  """trimesh's own way to find the files that a file names, forgiving Windows' habits."""
-
-  def get(self, name: str) -> bytes:
-    """The content of the file called `name`, from the mesh file's folder."""
-    # MTL options (`-s 1 1 1 wood.png`) stand before the name.
-    plain = re.sub(r'^(-\w+(\s+(-?[\d.]+|on|off))+\s+)+', '', name.strip()).replace('\\', '/')
-    try:
-      return super().get(plain)
-    except FileNotFoundError:
-      folder, wanted = os.path.split(os.path.join(self.parent, plain))
-      for entry in sorted(os.listdir(folder)):
-        if entry.lower() == wanted.lower():
-          return super().get(os.path.join(folder, entry))
-      raise
-
-
-def _turn_up(mesh, path):
-  """A DAE file's `up_axis` becomes y."""
-  with open(path, 'rb') as f:
-    up = re.search(rb'<up_axis>\s*([XYZ])_UP', f.read())
-  if up is None or up[1] == b'Y':
-    return mesh
-  x, y, z = np.moveaxis(mesh.vertices, -1, 0)
-  turned = (x, z, -y) if up[1] == b'Z' else (-y, x, z)
-  return mesh._replace(vertices=np.stack(turned, -1))
-
-
-def _reason(e):
-  """One line about an exception."""
-  text = ' '.join(str(e).split())
-  return f'{type(e).__name__}: {text[:200]}' if text else type(e).__name__
-
-
-def _compressed(path, extension):
-  """A hint, where a glTF without geometry is one whose geometry trimesh cannot unpack."""
-  if extension in ('.glb', '.gltf'):
-    with open(path, 'rb') as f:
-      packing = re.search(rb'KHR_draco_mesh_compression|EXT_meshopt_compression', f.read())
-    if packing:
-      return f' that can be read: it is packed with {packing[0].decode()}; unpack it first'
-  return ''
+  folder = model.detail or os.path.dirname(model.path)
+  return read_mesh(folder_files(folder), os.path.relpath(model.path, folder).replace(os.sep, '/'))

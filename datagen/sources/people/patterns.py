@@ -1,0 +1,171 @@
+"""Colours and pictures of cloth: stripes, checks, dots, prints and the like.
+
+A picture covers one turn about the trunk or a limb (u, front in its middle) and the person's height
+(v, from the floor up). Nothing in it is finer than about two of 64 voxels of the height.
+"""
+
+from typing import NamedTuple
+
+import matplotlib.colors
+import numpy as np
+import PIL.Image
+import PIL.ImageDraw
+
+SIZE = 256  # pixels of a picture's sides
+KINDS = {
+  'plain': 3.0, 'hoops': 3.0, 'pinstripes': 2.0, 'checks': 2.0, 'dots': 1.5, 'gradient': 1.5,
+  'halves': 1.0, 'band': 1.5, 'diagonal': 1.0, 'patches': 1.0, 'diamonds': 1.0,
+}  # fmt: skip
+PRINTS = ('disc', 'star', 'heart', 'number', 'square', 'ring', 'arrow')
+SEGMENTS = ('abcdef', 'bc', 'abged', 'abgcd', 'fgbc', 'afgcd', 'afgecd', 'abc', 'abcdefg', 'abcdfg')
+
+
+class Pattern(NamedTuple):
+  """What a cloth looks like."""
+
+  kind: str  # a key of KINDS
+  colors: np.ndarray  # [3, 3] sRGB in [0, 1]
+  period: float  # of what repeats upwards, in heights of the person
+  turns: int  # of what repeats around the trunk: how often
+  phase: float
+  seed: int
+  low: float = 0.0  # v where the garment begins and ends; bands and gradients lie between
+  high: float = 1.0
+
+
+def color(rng: np.random.Generator) -> np.ndarray:
+  """A cloth's colour [3]: mostly strong, at times black, white, grey or denim."""
+  if rng.random() < 0.22:
+    return np.array([[0.08, 0.08, 0.1], [0.95, 0.95, 0.93], [0.5, 0.5, 0.53], [0.85, 0.8, 0.68],
+                     [0.2, 0.28, 0.45], [0.36, 0.26, 0.18]])[rng.integers(6)]  # fmt: skip
+  return matplotlib.colors.hsv_to_rgb([rng.random(), rng.uniform(0.6, 1), rng.uniform(0.45, 0.98)])
+
+
+def unlike(rng: np.random.Generator, *others: np.ndarray, distance: float = 0.45) -> np.ndarray:
+  """A colour [3] that is far from others: the farthest of some where none is far enough."""
+  drawn = [color(rng) for _ in range(12)]
+  apart = [min((np.linalg.norm(c - o) for o in others), default=1.0) for c in drawn]
+  far = [c for c, d in zip(drawn, apart, strict=True) if d > distance]
+  return far[0] if far else drawn[int(np.argmax(apart))]
+
+
+def sample(rng: np.random.Generator, main: np.ndarray, *, kind: str | None = None) -> Pattern:
+  """A pattern with a main colour; `kind` where that is decided."""
+  if kind is None:
+    share = np.array(list(KINDS.values()))
+    kind = list(KINDS)[rng.choice(len(KINDS), p=share / share.sum())]
+  second = unlike(rng, main)
+  colors = np.stack([main, second, unlike(rng, main, second)])
+  period, turns = rng.uniform(0.11, 0.18), int(rng.integers(2, 5))
+  return Pattern(kind, colors, period, turns, rng.random(), int(rng.integers(2**31)))
+
+
+def draw(pattern: Pattern, *, part: str = 'trunk') -> np.ndarray:
+  """The picture [SIZE, SIZE, 4] uint8 of a cloth, for 'trunk', 'arm' or 'leg'.
+
+  Limbs are thinner: what repeats around does so less often.
+  """
+  scale = {'trunk': 1.0, 'arm': 0.4, 'leg': 0.6}[part]
+  turns = max(1, round(pattern.turns * scale))
+  center = (np.arange(SIZE) + 0.5) / SIZE
+  u, v = np.meshgrid(center, 1 - center)
+  row = v / pattern.period + pattern.phase
+  column = u * turns + (0.25 if part == 'trunk' else pattern.phase)
+  a, b, c = pattern.colors
+  kind = pattern.kind
+  t = np.clip((v - pattern.low) / max(pattern.high - pattern.low, 0.05), 0, 1)
+  if kind == 'hoops':
+    index = np.floor(row * 2) % 2
+  elif kind == 'pinstripes':
+    index = np.floor(column * 2) % 2
+  elif kind == 'checks':
+    index = (np.floor(column * 2) + np.floor(row * 2)) % 2
+  elif kind == 'dots':
+    shift = 0.5 * (np.floor(row) % 2)
+    index = ((column + shift) % 1 - 0.5) ** 2 + (row % 1 - 0.5) ** 2 < 0.33**2
+  elif kind == 'halves':
+    index = (u > 0.5) if part == 'trunk' else np.zeros_like(u)
+  elif kind == 'band':
+    index = (t > 0.45) & (t < 0.7) if part != 'arm' else np.zeros_like(u)
+  elif kind == 'diagonal':
+    index = np.floor((column + row) * 2) % 2
+  elif kind == 'patches':
+    index = _patches(pattern, u, v, turns)
+  elif kind == 'diamonds':
+    index = (np.abs(column % 1 - 0.5) + np.abs(row * 0.6 % 1 - 0.5) < 0.36).astype(int)
+  else:
+    index = np.zeros_like(u)
+  rgb = np.stack([a, b, c])[np.asarray(index).astype(int)]
+  if kind == 'gradient':
+    rgb = a + (b - a) * t[..., None]
+  image = np.full((SIZE, SIZE, 4), 255, np.uint8)
+  image[..., :3] = np.round(rgb * 255)
+  return image
+
+
+def _patches(pattern, u, v, turns):
+  """Patches of three colours, seamless around: the sign of two sums of waves."""
+  rng = np.random.default_rng(pattern.seed)
+  waves = np.zeros((2, *u.shape))
+  for wave in waves:
+    for _ in range(6):
+      k, f = rng.integers(0, turns + 1), rng.uniform(2, 8)
+      wave += np.sin(2 * np.pi * (k * u + f * v + rng.random()))
+  return np.where(waves[0] > 0.8, 1, np.where(waves[1] > 0.8, 2, 0))
+
+
+def add_print(
+  rng: np.random.Generator,
+  image: np.ndarray,
+  ink: np.ndarray,
+  *,
+  at: float,
+  size: float,
+  wide: float,
+) -> None:
+  """Puts a print on the chest of a trunk's picture.
+
+  Args:
+    rng: chance.
+    image: [SIZE, SIZE, 4], changed in place.
+    ink: [3] its colour.
+    at: v of its middle.
+    size: its height in heights of the person.
+    wide: turns that are as long as one height of the person.
+  """
+  kind = PRINTS[rng.integers(len(PRINTS))]
+  canvas = PIL.Image.fromarray(image)
+  pen = PIL.ImageDraw.Draw(canvas)
+  half = np.array([0.5 * size * wide * SIZE, 0.5 * size * SIZE])
+  middle = np.array([0.5 * SIZE, (1 - at) * SIZE])
+  fill = (*(int(round(255 * c)) for c in ink), 255)
+
+  def shape(points):
+    pen.polygon([tuple(middle + half * (np.array(p) * [1, -1])) for p in points], fill=fill)
+
+  box = [*(middle - half), *(middle + half)]
+  if kind == 'disc':
+    pen.ellipse(box, fill=fill)
+  elif kind == 'ring':
+    pen.ellipse(box, outline=fill, width=int(0.22 * half.min()) + 2)
+  elif kind == 'square':
+    pen.rectangle(box, fill=fill)
+  elif kind == 'star':
+    angle = np.pi / 2 + np.arange(10) * np.pi / 5
+    radius = np.where(np.arange(10) % 2, 0.5, 1.15)
+    shape(np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1))
+  elif kind == 'heart':
+    t = np.linspace(0, 2 * np.pi, 60)
+    y = 13 * np.cos(t) - 5 * np.cos(2 * t) - 2 * np.cos(3 * t) - np.cos(4 * t)
+    shape(np.stack([np.sin(t) ** 3, y / 16], 1))
+  elif kind == 'arrow':
+    shape([(0, 1), (1, 0), (0.4, 0), (0.4, -1), (-0.4, -1), (-0.4, 0), (-1, 0)])
+  else:
+    lit = SEGMENTS[rng.integers(10)]
+    bars = {'a': (-0.7, 0.65, 0.7, 1), 'd': (-0.7, -1, 0.7, -0.65), 'g': (-0.7, -0.18, 0.7, 0.18),
+            'f': (-0.7, 0, -0.25, 1), 'b': (0.25, 0, 0.7, 1), 'e': (-0.7, -1, -0.25, 0),
+            'c': (0.25, -1, 0.7, 0)}  # fmt: skip
+    for segment in lit:
+      x0, y0, x1, y1 = bars[segment]
+      shape([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+  image[:] = np.array(canvas)
