@@ -1,14 +1,17 @@
 """The files of a folder or of a zip archive, read one by one into memory; nothing is unpacked.
 
 Names have `/` between their parts. What strangers send stays where it is: a name that leaves the
-folder, by `..`, an absolute path or a symbolic link, is refused, and so is a file that is, or
-unpacks to, more than `MAX_FILE` bytes.
+folder, by `..`, an absolute path, a URL or a symbolic link, is refused, and so is a file that is,
+or unpacks to, more than `MAX_FILE` bytes.
 """
 
 import contextlib
+import functools
+import io
 import lzma
 import os
 import posixpath
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,6 +21,7 @@ from cvn.errors import UserError
 
 MAX_FILE = 1 << 29  # bytes: an OBJ file of some million faces
 MAX_MEMBERS = 1_000_000  # of an archive
+PIECE = 8192  # bytes read at a time of a member: bzip2 and LZMA unpack at once what they are given
 
 
 class Files(NamedTuple):
@@ -26,10 +30,14 @@ class Files(NamedTuple):
   path: str  # of the folder or archive
   names: Callable[..., list[str]]  # (folder='') -> all of them below it, sorted
   read: Callable[[str], bytes]  # FileNotFoundError where there is no such file; UserError
+  alike: Callable[[str], str | None]  # a file whose name differs in case only
 
 
 def folder_files(path: str) -> Files:
-  """The files of a folder and its subfolders, hidden ones left out."""
+  """The files of a folder and its subfolders, hidden ones left out.
+
+  The folder itself may be reached by a symbolic link; one within it must not lead out of it.
+  """
   root = os.path.realpath(path)
 
   def names(folder=''):
@@ -47,15 +55,34 @@ def folder_files(path: str) -> Files:
       raise UserError(f'{path}: {name} leads out of the folder')
     if not os.path.isfile(file):  # a device or a pipe could be read forever
       raise FileNotFoundError(f'{path} has no file {name}')
-    with open(file, 'rb') as f:
-      return _bounded(path, name, f)
+    try:
+      with open(file, 'rb') as f:
+        size = os.fstat(f.fileno()).st_size
+        _check_size(path, name, size)
+        return f.read(size)
+    except OSError as e:
+      raise UserError(f'{path}: {name} cannot be read: {e.strerror}') from e
 
-  return Files(path, names, read)
+  def alike(name):
+    found = ''
+    for part in _inside(path, name).split('/'):
+      folder = os.path.join(root, found)
+      # A name as it is goes first: of `a/B` and `A/b` either may hold what is wanted.
+      others = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
+      same = [n for n in others if n.lower() == part.lower()]
+      if not same:
+        return None
+      found = posixpath.join(found, part if part in same else same[0])
+    return found
+
+  return Files(path, names, read, alike)
 
 
 @contextlib.contextmanager
 def archive_files(path: str) -> Iterator[Files]:
   """The files of a zip archive, open as long as the context is.
+
+  A member whose name leads out of the archive is not there.
 
   Raises:
     UserError: it is no zip archive, or has too many members.
@@ -67,27 +94,42 @@ def archive_files(path: str) -> Iterator[Files]:
       raise UserError(
         f'{path} cannot be read as a zip archive: {getattr(e, "strerror", e) or e}'
       ) from e
-    if len(archive.infolist()) > MAX_MEMBERS:
+    members = {}
+    for info in archive.infolist():
+      plain = _plain(info.filename.replace('\\', '/'))  # as some programs for Windows write them
+      if plain and not info.is_dir():
+        members[plain] = info
+    if len(members) > MAX_MEMBERS:
       raise UserError(f'{path} has more than {MAX_MEMBERS} members')
 
     def names(folder=''):
       start = posixpath.join(folder, '')
-      found = (i.filename for i in archive.infolist() if not i.is_dir())
-      return sorted(name for name in found if name.startswith(start))
+      return sorted(name for name in members if name.startswith(start))
 
     def read(name):
-      plain = _inside(path, name)
+      info = members.get(_inside(path, name))
+      if info is None:
+        raise FileNotFoundError(f'{path} has no file {name}')
+      _check_size(path, name, info.file_size)  # no more than this can be read, even if it is a lie
+      content = io.BytesIO()
       try:
-        with archive.open(plain) as f:
-          return _bounded(path, name, f)
-      except KeyError as e:
-        raise FileNotFoundError(f'{path} has no file {name}') from e
+        with archive.open(info) as f:
+          while piece := f.read(PIECE):
+            content.write(piece)
       except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError) as e:
         raise UserError(f'{path}: {name} is damaged: {e}') from e
       except (NotImplementedError, RuntimeError) as e:  # a method of packing, or a password
         raise UserError(f'{path}: {name} cannot be unpacked: {e}') from e
+      return content.getvalue()
 
-    yield Files(path, names, read)
+    @functools.cache
+    def by_lower_case():
+      return {name.lower(): name for name in sorted(members, reverse=True)}
+
+    def alike(name):
+      return by_lower_case().get(_inside(path, name).lower())
+
+    yield Files(path, names, read, alike)
 
 
 def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
@@ -107,27 +149,36 @@ def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
     FileNotFoundError: there is none.
     UserError: it lies outside, is too large, or cannot be read.
   """
-  wanted = posixpath.normpath(posixpath.join(folder, name.strip().replace('\\', '/')))
+  name = name.strip().replace('\\', '/')
+  wanted = name if _is_elsewhere(name) else posixpath.normpath(posixpath.join(folder, name))
   try:
     return wanted, files.read(wanted)
   except FileNotFoundError:
-    alike = [n for n in files.names(folder) if n.lower() == wanted.lower()]
-    if not alike:
+    alike = files.alike(wanted)
+    if alike is None:
       raise
-    return alike[0], files.read(alike[0])
+    return alike, files.read(alike)
+
+
+def _is_elsewhere(name):
+  """Whether it is an absolute path, of Windows too, or a URL."""
+  return name.startswith('/') or re.match(r'[A-Za-z]:|[A-Za-z][\w+.-]+:/', name) is not None
+
+
+def _plain(name):
+  """The name in its plain form; None where it leads out."""
+  plain = posixpath.normpath(name)
+  leaves = '\0' in name or _is_elsewhere(name) or plain.split('/')[0] == '..'
+  return None if leaves else plain
 
 
 def _inside(path, name):
-  """The name in its plain form."""
-  plain = posixpath.normpath(name)
-  if '\0' in name or plain.startswith(('/', '../')) or plain == '..' or plain[1:2] == ':':
+  plain = _plain(name)
+  if plain is None:
     raise UserError(f'{path}: {name!r} leads out of it')
   return plain
 
 
-def _bounded(path, name, stream):
-  """All that a stream holds, unless it is too much."""
-  content = stream.read(MAX_FILE + 1)
-  if len(content) > MAX_FILE:
+def _check_size(path, name, size):
+  if size > MAX_FILE:
     raise UserError(f'{path}: {name} is larger than {MAX_FILE >> 20} MiB')
-  return content

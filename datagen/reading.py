@@ -9,6 +9,7 @@ import io
 import logging
 import posixpath
 import re
+import urllib.parse
 import warnings
 
 import numpy as np
@@ -16,9 +17,13 @@ import trimesh
 
 from cvn.errors import UserError
 from datagen.files import Files, find
+from datagen.headers import MAX_FACES, check_dae, check_gltf
+from datagen.images import check_image
 from datagen.mesh import TexturedMesh, check, from_trimesh
+from datagen.obj import absolute_indices
 
 EXTENSIONS = ('.obj', '.glb', '.gltf', '.ply', '.dae', '.off', '.stl')
+GLTF = ('.glb', '.gltf')
 
 # What trimesh would print about a file either has no say in shape and colour or ends in an error.
 logging.getLogger('trimesh').setLevel(logging.CRITICAL)
@@ -32,51 +37,98 @@ def read_mesh(files: Files, name: str) -> TexturedMesh:
     name: of the mesh file in it.
 
   Raises:
-    UserError: the file cannot be read, or holds no mesh that can be normalised.
+    UserError: the file cannot be read, names a file outside of `files` or a picture that cannot be
+      read, or holds no mesh that can be normalised.
+    MemoryError: it needs more than there is.
   """
   extension = posixpath.splitext(name)[1].lower()
   path = posixpath.join(files.path, name)
   try:
     content = files.read(name)
-    resolver = _Resolver(files, posixpath.dirname(name))
-    with warnings.catch_warnings():
-      warnings.simplefilter('ignore')  # numpy's and PIL's about odd files
-      # process=False: merging vertices would also merge their colours.
-      scene = trimesh.load_scene(
-        io.BytesIO(content), file_type=extension[1:], resolver=resolver, process=False
-      )
-      mesh = from_trimesh(scene, gltf=extension in ('.glb', '.gltf'))
-    if extension == '.dae':
-      mesh = _turn_up(mesh, content)
-  except UserError:
-    raise
   except FileNotFoundError as e:
     raise UserError(str(e)) from e
-  except Exception as e:  # trimesh and its readers raise whatever a broken file leads them to
-    raise UserError(f'{path} cannot be read as {extension[1:].upper()}: {_reason(e)}') from e
+  resolver = _Resolver(files, posixpath.dirname(name))
   try:
+    with warnings.catch_warnings():
+      warnings.simplefilter('ignore')  # numpy's and PIL's about odd files
+      mesh = from_trimesh(_load(content, extension, resolver), gltf=extension in GLTF)
+    if extension == '.dae':
+      mesh = _turn_up(mesh, content)
     check(mesh)
   except UserError as e:
-    raise UserError(f'{path}: {e}{_compressed(content, extension)}') from e
+    raise UserError(f'{path}: {e}') from e
+  except MemoryError:
+    raise
+  except Exception as e:  # trimesh and its readers raise whatever a broken file leads them to
+    raise UserError(f'{path} cannot be read as {extension[1:].upper()}: {_reason(e)}') from e
   return mesh._replace(missing=tuple(sorted(resolver.missing)))
 
 
+def _load(content, extension, resolver):
+  """The scene that trimesh makes of a file, with the checks that it does not make."""
+  if extension in GLTF:
+    check_gltf(content, resolver.get)
+  elif extension == '.dae':
+    check_dae(content)
+  elif extension == '.obj':
+    content = absolute_indices(content)
+  # process=False: merging vertices would also merge their colours.
+  scene = trimesh.load_scene(
+    io.BytesIO(content), file_type=extension[1:], resolver=resolver, process=False
+  )
+  resolver.check(pictures=extension not in GLTF)
+  parts = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+  faces = sum(len(part.faces) for part in parts if isinstance(part, trimesh.Trimesh))
+  if faces > MAX_FACES:
+    raise UserError(f'it has {faces} faces, more than {MAX_FACES}')
+  return scene
+
+
 class _Resolver(trimesh.resolvers.Resolver):
-  """Answers trimesh with the files that a mesh file names."""
+  """Answers trimesh with the files that a mesh file names.
+
+  trimesh goes on without a texture whatever the reason, so errors are kept and raised later.
+  """
 
   def __init__(self, files: Files, folder: str):
     self.files, self.folder = files, folder
     self.missing: set[str] = set()
+    self._contents: dict[str, bytes] = {}
+    self._error: Exception | None = None
 
   def get(self, name: str) -> bytes:
     """The content of the file called `name`, from the mesh file's folder."""
+    if name not in self._contents:
+      try:
+        self._contents[name] = self._find(name)
+      except FileNotFoundError:
+        raise
+      except Exception as e:
+        self._error = self._error or e
+        raise
+    return self._contents[name]
+
+  def check(self, pictures: bool) -> None:
+    """Raises what went wrong; `pictures` says that all files but MTL's should be pictures."""
+    if self._error is not None:
+      raise self._error
+    for name, content in self._contents.items() if pictures else ():
+      if not name.lower().endswith('.mtl'):
+        try:
+          check_image(content)
+        except UserError as e:
+          raise UserError(f'{name} {e}') from e
+
+  def _find(self, name):
     # MTL options (`-s 1 1 1 wood.png`) stand before the name.
     plain = re.sub(r'^(-\w+(\s+(-?[\d.]+|on|off))+\s+)+', '', name.strip())
-    try:
-      return find(self.files, self.folder, plain)[1]
-    except FileNotFoundError:
-      self.missing.add(plain)
-      raise
+    for spelling in dict.fromkeys((plain, urllib.parse.unquote(plain))):  # glTF and DAE have URIs
+      try:
+        return find(self.files, self.folder, spelling)[1]
+      except FileNotFoundError:
+        continue
+    self.missing.add(plain)
+    raise FileNotFoundError(f'it names {plain}, which is not there')
 
   def keys(self):
     """The names of all files."""
@@ -105,12 +157,3 @@ def _reason(e):
   """One line about an exception."""
   text = ' '.join(str(e).split())
   return f'{type(e).__name__}: {text[:200]}' if text else type(e).__name__
-
-
-def _compressed(content, extension):
-  """A hint, where a glTF without geometry is one whose geometry trimesh cannot unpack."""
-  if extension in ('.glb', '.gltf'):
-    packing = re.search(rb'KHR_draco_mesh_compression|EXT_meshopt_compression', content)
-    if packing:
-      return f' that can be read: it is packed with {packing[0].decode()}; unpack it first'
-  return ''

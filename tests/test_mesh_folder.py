@@ -39,8 +39,10 @@ def picture():
   return PIL.Image.fromarray(np.repeat(np.repeat(pixels, 8, 0), 8, 1))
 
 
-def load(path):
-  return mesh_folder.load(SourceModel(id='it', category='chair', path=str(path)))
+def load(path, folder=None):
+  """Loads a file, of which `folder` is the input folder; its own where that is not given."""
+  detail = str(folder or path.parent)
+  return mesh_folder.load(SourceModel(id='it', category='chair', path=str(path), detail=detail))
 
 
 def color_at(mesh, point):
@@ -88,7 +90,7 @@ def test_obj_with_odd_names(tmp_path):
     path = write_obj(
       tmp_path / 'Models', mtl, name='Stühle.OBJ', mtl_name='my chair.mtl', material='fine wood'
     )
-    assert_picture(load(path))
+    assert_picture(load(path, tmp_path))
 
 
 def test_obj_repeats_its_texture(tmp_path):
@@ -151,7 +153,7 @@ def test_glb_with_vertex_colors(tmp_path):
 
 def test_packed_gltf_says_so(tmp_path):
   path = tmp_path / 'a.gltf'
-  header = {'asset': {'version': '2.0'}, 'extensionsUsed': ['KHR_draco_mesh_compression']}
+  header = {'asset': {'version': '2.0'}, 'extensionsRequired': ['KHR_draco_mesh_compression']}
   path.write_text(json.dumps(header | {'scene': 0, 'scenes': [{'nodes': []}], 'nodes': []}))
   with pytest.raises(UserError, match=r'a\.gltf.*KHR_draco_mesh_compression'):
     load(path)

@@ -59,4 +59,5 @@ def load(model: SourceModel) -> TexturedMesh:
     UserError: the file cannot be read, or holds no mesh that can be normalised.
   """
   folder = model.detail or os.path.dirname(model.path)
-  return read_mesh(folder_files(folder), os.path.relpath(model.path, folder).replace(os.sep, '/'))
+  name = os.path.relpath(model.path, folder).replace(os.sep, '/')
+  return read_mesh(folder_files(folder), name)

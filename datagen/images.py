@@ -1,0 +1,57 @@
+"""Pictures that strangers send: looked at before they are unpacked, and made RGBA.
+
+A file of some kilobytes can unpack to gigabytes, and some formats are programs (EPS): only formats
+of textures are read, and only so many pixels.
+"""
+
+import io
+import warnings
+
+import numpy as np
+import PIL.Image
+
+from cvn.errors import UserError
+
+FORMATS = ('PNG', 'JPEG', 'BMP', 'DIB', 'TGA', 'GIF', 'TIFF', 'WEBP', 'DDS', 'PPM', 'PCX', 'SGI')
+MAX_PIXELS = 1 << 26  # of one picture: 8192 x 8192
+
+
+def check_image(content: bytes) -> None:
+  """Reads the header of a picture file.
+
+  Raises:
+    UserError: it is no picture of one of the `FORMATS`, or has more than `MAX_PIXELS`.
+  """
+  with warnings.catch_warnings():
+    warnings.simplefilter('ignore')  # of its size: that is what the check is about
+    try:
+      with PIL.Image.open(io.BytesIO(content), formats=FORMATS) as image:
+        width, height = image.size
+    except PIL.Image.DecompressionBombError as e:
+      raise UserError(f'is a picture of more than {MAX_PIXELS} pixels') from e
+    except MemoryError:
+      raise
+    except Exception as e:  # PIL's readers raise whatever a broken header leads them to
+      raise UserError('is no picture that can be read') from e
+  if width * height > MAX_PIXELS:
+    raise UserError(f'is a picture of {width} x {height} pixels, more than {MAX_PIXELS}')
+
+
+def to_rgba(image: PIL.Image.Image, max_side: int) -> np.ndarray:
+  """The first frame of a picture, shrunk by whole numbers until no side is longer than `max_side`.
+
+  Returns:
+    [H, W, 4] uint8.
+
+  Raises:
+    OSError, ValueError: its data are broken.
+  """
+  shrink = -(-max(image.size) // max_side)
+  if image.mode[0] in 'IF':  # 16 or 32 bits, or floats: PIL would cut them off at 255
+    values = np.nan_to_num(np.asarray(image, np.float32))
+    top = 1 if image.mode == 'F' else 65535
+    image = PIL.Image.fromarray((values.clip(0, top) * (255 / top) + 0.5).astype(np.uint8))
+  elif image.mode in ('RGB', 'L') and 'transparency' not in image.info:
+    image = image.reduce(shrink)  # before alpha is added: it takes less memory
+    shrink = 1
+  return np.array(image.convert('RGBA').reduce(shrink))
