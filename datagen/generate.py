@@ -33,7 +33,7 @@ from datagen.contact_sheet import contact_sheet
 from datagen.executors import dask_client, process_executor
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
-from datagen.plan import list_models, open_or_create, plan
+from datagen.plan import keep_listed, list_models, open_or_create, plan
 from datagen.render import SHADINGS
 
 REASONS_SHOWN = 5
@@ -56,8 +56,8 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_string(
     'splits',
     None,
-    'A folder of {train,val,test}_list_<category>.txt; without it the source decides, or a hash of'
-    ' the id.',
+    'A folder of {train,val,test}_list_<category>.txt, lists of ids: the models that they name are'
+    ' made, and no others. Without it the source decides the split, or a hash of the id.',
     **own,
   )
   flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
@@ -102,8 +102,11 @@ def run(f: flags.FlagValues) -> None:
     tolerance=f.tolerance,
     similarity=f.similarity,
   )
-  found = list_models(f.source, f.category, f.input, f.limit, f.seed)
-  planned = plan(found, f.source, splits_folder=f.splits, input_dir=f.input)
+  found = list_models(f.source, f.category, f.input, None if f.splits else f.limit, f.seed)
+  if f.splits:
+    found, note = keep_listed(found, f.splits, f.limit)
+    print(note)
+  planned = plan(found, f.source, input_dir=f.input)
   with contextlib.ExitStack() as stack:
     memory, in_hand = int(f.memory_limit * 2**30), None
     make_executor = functools.partial(process_executor, memory=memory)
@@ -183,19 +186,27 @@ def summary(
   if made:
     lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
   if rated:
-    s = FlowStats(*np.mean(rated, axis=0))
-    lines += [
-      f'voxels of a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
-      f' {s.fallback:.1%} hidden with no similar colour in view',
-      f'colour where the flow points: off by {s.visible_error:.3f} for visible voxels'
-      f' ({s.visible_faithful:.1%} of them by less than 0.1), by {s.error:.3f} for all',
-    ]
+    lines += _flow_lines(FlowStats(*np.mean(rated, axis=0)))
   shown = list(failures.items())[:REASONS_SHOWN]
   lines += [f'failed: {model_id}: {reason}' for model_id, reason in shown]
   if len(failures) > REASONS_SHOWN:
     lines.append(f'and {len(failures) - REASONS_SHOWN} more, in failures.json')
   lines.append(f'look at contact_sheet.png in {dataset.root}')
   return '\n'.join(lines)
+
+
+def _flow_lines(s: FlowStats) -> list[str]:
+  if not s.visible:  # records that were made elsewhere
+    return [
+      f'no voxel is marked as visible; the flow of {s.matched:.1%} fetches a similar colour',
+      f'colour where the flow points: off by {s.error:.3f} for all',
+    ]
+  return [
+    f'voxels of a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
+    f' {s.fallback:.1%} hidden with no similar colour in view',
+    f'colour where the flow points: off by {s.visible_error:.3f} for visible voxels'
+    f' ({s.visible_faithful:.1%} of them by less than 0.1), by {s.error:.3f} for all',
+  ]
 
 
 if __name__ == '__main__':

@@ -9,6 +9,7 @@ What is surface: every face, glass too (a corner alpha below 1 tells of glass an
 away), except where the texture's own alpha is below `CUTOUT_ALPHA`: there is a hole.
 """
 
+import io
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,17 @@ from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
 from cvn.grid import OBJECT_EXTENT
+from datagen.coincident import seen_faces
+from datagen.images import to_rgba
 
 CUTOUT_ALPHA = 0.5
 INVISIBLE_ALPHA = (
   0.05  # a material with less is a modeller's helper and no glass: faces are dropped
 )
 NO_COLOR = 0.6  # the grey of a mesh that has no colour at all
+MAX_COORDINATE = 1e100  # products of some of them are still finite
 MAX_TEXTURE_SIDE = 2048  # pixels; larger images are shrunk, a voxel covers 30 of these anyway
+MAX_TEXTURES = 1 << 29  # bytes that all textures of a mesh may take
 
 
 class TexturedMesh(NamedTuple):
@@ -103,13 +108,15 @@ def check(mesh: TexturedMesh) -> None:
   """Rejects a mesh that cannot be normalised.
 
   Raises:
-    UserError: no faces, coordinates that are not finite, or no extent.
+    UserError: no faces, coordinates that are not finite or too large, or no extent.
   """
   if not len(mesh.faces):
     raise UserError('the mesh has no faces')
   used = mesh.vertices[np.unique(mesh.faces)]
   if not np.isfinite(used).all():
     raise UserError('the mesh has coordinates that are not finite (NaN or infinite)')
+  if np.abs(used).max() > MAX_COORDINATE:
+    raise UserError(f'the mesh has coordinates beyond {MAX_COORDINATE:g}')
   if not np.ptp(used, axis=0).max() > 0:
     raise UserError('the mesh has no extent: all its faces shrink to one point')
 
@@ -136,7 +143,8 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
   A texture is real when it was read from a file or is larger than 2x2 pixels: trimesh puts a 2x2
   one of its own where there is none. Without texture coordinates it is taken as its mean colour.
 
-  Faces without area and faces of invisible materials are left out.
+  Faces without area, faces of invisible materials and all but one of the faces in the same place
+  (datagen/coincident.py) are left out.
 
   Args:
     loaded: what trimesh made of a file.
@@ -150,9 +158,10 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
 
   Raises:
     OSError, ValueError: a texture that is no image.
+    UserError: textures that are too large together, or faces without vertices.
   """
   scene = loaded if isinstance(loaded, trimesh.Scene) else trimesh.Scene(loaded)
-  parts, textures, known = [_EMPTY], [], {}
+  parts, textures, files, known = [_EMPTY], [], {}, {}
   offset = 0
   for node in scene.graph.nodes_geometry:
     transform, name = scene.graph[node]
@@ -161,13 +170,18 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
       continue  # points and paths have no surface
     vertices = trimesh.transform_points(np.asarray(geometry.vertices, np.float64), transform)
     faces = np.asarray(geometry.faces, np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+      raise UserError(f'a face names a vertex that is not there: there are {len(vertices)}')
     colors, uv, picture = _appearance(geometry, gltf)
     texture = -1
     if picture is not None:
       image, cutoff = picture
-      texture = known.setdefault((id(image), cutoff), len(textures))
+      file = files.setdefault(id(image), _file_of(image))
+      texture = known.setdefault((file, cutoff), len(textures))
       if texture == len(textures):
         textures.append(_pixels(image, cutoff))
+        if sum(pixels.nbytes for pixels in textures) > MAX_TEXTURES:
+          raise UserError(f'its textures take more than {MAX_TEXTURES >> 20} MiB')
     if texture >= 0 and uv is None:
       colors *= textures[texture].mean((0, 1), dtype=np.float32) / np.float32(255)
       texture = -1
@@ -186,8 +200,10 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
       )
     )
     offset += len(vertices)
-  arrays = (np.concatenate(column) for column in zip(*parts, strict=True))
-  return TexturedMesh(*arrays, tuple(textures))
+  vertices, *of_faces = (np.concatenate(column) for column in zip(*parts, strict=True))
+  faces, texture = of_faces[0], of_faces[-1]
+  seen = seen_faces(vertices, faces, texture >= 0)
+  return TexturedMesh(vertices, *(values[seen] for values in of_faces), tuple(textures))
 
 
 _EMPTY = (
@@ -216,7 +232,7 @@ def _appearance(geometry, gltf):
     vertex = visual.vertex_attributes.get('color', vertex)  # COLOR_0 beside a material
     if visual.uv is not None and np.shape(visual.uv) == (len(geometry.vertices), 2):
       # Each face moves to the first tile: far from 0, float32 has no digits left for a texel.
-      uv = np.nan_to_num(visual.uv)[faces]
+      uv = np.where(np.abs(visual.uv) < 1e9, visual.uv, 0)[faces]  # nor NaN
       uv = (uv - np.floor(uv.min(1, keepdims=True))).astype(np.float32)
   elif visual.kind == 'vertex':
     vertex = visual.vertex_colors
@@ -254,9 +270,11 @@ def _material(material, gltf):
       color[3] = 1 if cutoff is not None else color[3]
   else:
     image = getattr(material, 'image', None)
-    color = getattr(material, 'diffuse', None)
+    mtl = getattr(material, 'kwargs', {})
+    # `diffuse` is `Kd` cut off at 1, or a grey of trimesh's own where there is none.
+    color = mtl.get('kd', getattr(material, 'diffuse', None))
     color = None if color is None or np.array_equal(color, DEFAULT_COLOR) else _as_rgba(color)
-    alpha = _dissolve(getattr(material, 'kwargs', {}))
+    alpha = _dissolve(mtl)
     if color is not None:
       color[3] *= alpha
   if image is None or (image.format is None and max(image.size) <= 2):
@@ -279,10 +297,15 @@ def _dissolve(mtl):
   return 1.0
 
 
+def _file_of(image):
+  """What is the same for two images that were opened from the same content."""
+  stream = getattr(image, 'fp', None)
+  return stream.getvalue() if isinstance(stream, io.BytesIO) and not stream.closed else id(image)
+
+
 def _pixels(image: PIL.Image.Image, cutoff: float | None) -> np.ndarray:
   """[H, W, 4] uint8 of an image; alpha is cut at `cutoff` to 0 and 255 where that is given."""
-  shrink = -(-max(image.size) // MAX_TEXTURE_SIDE)
-  pixels = np.array(image.convert('RGBA').reduce(shrink))
+  pixels = to_rgba(image, MAX_TEXTURE_SIDE)
   if cutoff is not None:
     pixels[..., 3] = np.where(pixels[..., 3] >= 255 * cutoff, 255, 0)
   if pixels[..., 3].max() < 255 * CUTOUT_ALPHA:

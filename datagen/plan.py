@@ -1,5 +1,6 @@
 """Which models a data set is to hold, in which rows, and whether one that is there agrees."""
 
+import itertools
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -38,41 +39,50 @@ def list_models(
   return models
 
 
+def keep_listed(
+  models: Sequence[SourceModel], folder: str, limit: int | None
+) -> tuple[list[SourceModel], str]:
+  """Keeps the models that lists of ids name, each with the split that its list says.
+
+  Args:
+    models: category by category.
+    folder: where the lists are.
+    limit: the most models of each category to keep; None keeps all.
+
+  Returns:
+    (the models, one line about what the lists and the models do not share).
+
+  Raises:
+    UserError: a category has no lists, or they name none of the models.
+  """
+  lists = {c: read_splits(folder, c) for c in dict.fromkeys(m.category for m in models)}
+  listed = [m._replace(split=lists[m.category][m.id]) for m in models if m.id in lists[m.category]]
+  if not listed:
+    raise UserError(f'no list in {folder} names {models[0].id} or another of the models')
+  absent = sum(map(len, lists.values())) - len(listed)
+  note = (
+    f'{folder} lists {len(listed)} of the {len(models)} models, the others are left out;'
+    f' {absent} that it lists are not there'
+  )
+  by_category = itertools.groupby(listed, key=lambda m: m.category)
+  return [m for _, group in by_category for m in itertools.islice(group, limit)], note
+
+
 def plan(
-  models: Sequence[SourceModel],
-  source: str,
-  *,
-  splits_folder: str | None = None,
-  input_dir: str | None = None,
+  models: Sequence[SourceModel], source: str, *, input_dir: str | None = None
 ) -> list[Model]:
   """What the data set says of each model.
 
   Args:
-    models: as the source lists them.
+    models: as the source lists them. Where they have no split, a hash of the id gives it.
     source: its name.
-    splits_folder: where lists of ids are; None for the split that the source says or, where it
-      says none, a hash of the id.
     input_dir: paths are kept relative to it, so that the folder may move.
-
-  Raises:
-    UserError: the lists are missing, or leave a model out.
   """
-  lists = {}
-  if splits_folder is not None:
-    lists = {c: read_splits(splits_folder, c) for c in {m.category for m in models}}
-
-  def split(m):
-    if splits_folder is None:
-      return m.split or split_of(m.id)
-    if m.id not in lists[m.category]:
-      raise UserError(f'{splits_folder} has no list for category {m.category} that names {m.id}')
-    return lists[m.category][m.id]
-
   return [
     Model(
       id=m.id,
       category=m.category,
-      split=split(m),
+      split=m.split or split_of(m.id),
       source=source,
       path=_relative(m.path, input_dir),
       licence=m.licence,

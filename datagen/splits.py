@@ -9,6 +9,12 @@ from cvn.dataset import SPLITS
 from cvn.errors import UserError
 
 FRACTIONS = (0.7, 0.1, 0.2)  # train, val, test, as in the paper
+SYNSETS = {  # of the paper's categories, as ShapeNet and the authors' lists name them
+  'car': '02958343',
+  'chair': '03001627',
+  'guitar': '03467517',
+  'table': '04379243',
+}
 
 
 def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
@@ -30,6 +36,7 @@ def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
 def read_splits(folder: str, category: str) -> dict[str, str]:
   """Reads `{train,val,test}_list_<category>.txt`, one id a line, as the authors' lists are.
 
+  A file may have the name of the category's synset instead, as those for ShapeNet have.
   An id of two words, as 'clothes1 mesh2' in the lists of people, is joined by an underscore, as the
   parts of a path are in the ids of the source `meshes`. A split without a file is empty.
 
@@ -40,11 +47,13 @@ def read_splits(folder: str, category: str) -> dict[str, str]:
     UserError: no such file, an unreadable one, or an id of two splits.
   """
   splits: dict[str, str] = {}
-  paths = {s: os.path.join(folder, f'{s}_list_{category}.txt') for s in SPLITS}
-  paths = {s: p for s, p in paths.items() if os.path.isfile(p)}
+  names = dict.fromkeys([category, SYNSETS.get(category, category)])
+  paths = [(s, os.path.join(folder, f'{s}_list_{name}.txt')) for name in names for s in SPLITS]
+  paths = [(split, path) for split, path in paths if os.path.isfile(path)]
   if not paths:
-    raise UserError(f'{folder} has no file {{train,val,test}}_list_{category}.txt')
-  for split, path in paths.items():
+    files = ' or '.join(f'{{train,val,test}}_list_{name}.txt' for name in names)
+    raise UserError(f'{folder} has no file {files}')
+  for split, path in paths:
     try:
       with open(path, encoding='utf-8') as f:
         lines = f.read().splitlines()

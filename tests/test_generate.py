@@ -163,13 +163,17 @@ def test_splits_from_files(meshes, tmp_path):
   f = parsed(*arguments(meshes, tmp_path / 'output', f'--splits={tmp_path}'))
   with pytest.raises(UserError, match='list_box'):
     generate.run(f)
-  (tmp_path / 'train_list_box.txt').write_text('a\nbroken\n')
-  with pytest.raises(UserError, match='names c'):
+  (tmp_path / 'train_list_box.txt').write_text('d\n')
+  with pytest.raises(UserError, match='names a or another'):
     generate.run(f)
   (tmp_path / 'test_list_box.txt').write_text('c\n')
+  (tmp_path / 'val_list_box.txt').write_text('broken\n')
   models = plan.list_models('meshes', ['box'], str(meshes), None, 0)
-  planned = plan.plan(models, 'meshes', splits_folder=str(tmp_path))
-  assert [m.split for m in planned] == ['train', 'train', 'test']
+  listed, note = plan.keep_listed(models, str(tmp_path), None)
+  assert [(m.id, m.split) for m in listed] == [('broken', 'val'), ('c', 'test')]
+  assert 'lists 2 of the 3 models' in note and '1 that it lists' in note
+  assert plan.keep_listed(models, str(tmp_path), 1)[0] == listed[:1]
+  assert [m.split for m in plan.plan(listed, 'meshes')] == ['val', 'test']
   # Without lists, what the source says; without that, the hash of the id.
   planned = plan.plan([models[0]._replace(split='val'), *models[1:]], 'meshes')
   assert [m.split for m in planned] == ['val', *(split_of(m.id) for m in models[1:])]

@@ -2,7 +2,8 @@
 
 `list_models(category, input_dir, limit, seed) -> list[SourceModel]` names the models, quickly and
 in a stable order; `load(model) -> TexturedMesh` makes or reads one of them, not yet normalised.
-Both raise `UserError` for what the user can mend.
+Both raise `UserError` for what the user can mend. A source that holds records instead of meshes has
+`read_record(model, azimuths=, image_size=, grid_size=) -> Record` in the place of `load`.
 """
 
 import importlib
@@ -11,8 +12,10 @@ from typing import Any, NamedTuple
 
 SOURCES = {
   'humans': 'datagen.sources.humans',
+  'im2avatar_release': 'datagen.sources.im2avatar_release',
   'meshes': 'datagen.sources.mesh_folder',
   'procedural': 'datagen.sources.procedural',
+  'shapenet': 'datagen.sources.shapenet',
 }
 
 
