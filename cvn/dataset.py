@@ -12,6 +12,10 @@
   facts          [N,3]        f32  what `Facts` tells of the mesh
   surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
 
+The manifest's cameras are those that datagen renders with. Models of source im2avatar_release have
+views from about the same azimuths by cameras that the release does not tell, and none of their
+voxels is marked as visible.
+
 Row n of every array is model n of the manifest. An array has one file a model (a shard), in which
 each view is a chunk of its own: a view is read alone. No two models share a file, so any number of
 processes may write their own models at the same time, and a model is there only when it is whole.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.dataset import Record
-from datagen.flow import FIDELITY
+from datagen.flow import FIDELITY, FlowStats
 
 FEW_VOXELS = 300  # a flat square of 17 voxels' side
 ONE_COLOR = 0.02  # mean distance to the mean colour; texture and shadow are beyond it
@@ -34,13 +34,8 @@ class Examined(NamedTuple):
 
 def examine(record: Record) -> Examined:
   """Measures one model. Under any shading but flat, errors contain the light."""
-  height, width = record.views.shape[1:3]
-  size = np.array([width, height])
-  column, row = np.moveaxis(np.minimum((record.flow * size).astype(int), size - 1), -1, 0)
-  view = np.arange(len(record.views))[:, None]
-  sampled = record.views[view, row, column, :3].astype(np.float32)
+  error = _errors(record)
   color = record.surface_color.astype(np.float32)
-  error = np.linalg.norm(sampled - color, axis=-1) / 255
   seen = error[record.visible] if record.visible.any() else np.zeros(1)
   extent = np.ptp(record.surface_index.astype(int), axis=0) + 1
   return Examined(
@@ -53,6 +48,26 @@ def examine(record: Record) -> Examined:
     uprightness=float(extent[1] / max(extent[0], extent[2])),
     missing=int(record.facts.missing),
     volume=float(record.facts.volume),
+  )
+
+
+def flow_stats(record: Record, similarity: float) -> FlowStats:
+  """What `datagen.flow` would have counted of flows that were made elsewhere.
+
+  Args:
+    record: the model.
+    similarity: distance up to which colours are similar.
+  """
+  examined = examine(record)
+  hidden_similar = ~record.visible & (_errors(record) <= similarity)
+  matched = float(hidden_similar.mean())
+  return FlowStats(
+    visible=examined.visible,
+    matched=matched,
+    fallback=1 - examined.visible - matched,
+    visible_error=examined.visible_error,
+    visible_faithful=examined.visible_faithful,
+    error=examined.error,
   )
 
 
@@ -86,3 +101,13 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
       reasons.append(f'{e.missing} files of textures or materials missing')
     result.append(reasons)
   return result
+
+
+def _errors(record):
+  """[V, S] distances of the voxels' colours to what their flows fetch."""
+  height, width = record.views.shape[1:3]
+  size = np.array([width, height])
+  column, row = np.moveaxis(np.minimum((record.flow * size).astype(int), size - 1), -1, 0)
+  view = np.arange(len(record.views))[:, None]
+  sampled = record.views[view, row, column, :3].astype(np.float32)
+  return np.linalg.norm(sampled - record.surface_color.astype(np.float32), axis=-1) / 255

@@ -105,9 +105,10 @@ def overview(
     split = Counter(models[i].split for i in mine)
     line = f'{category:16}{planned[category]:9}{len(mine):9}'
     line += ''.join(f'{split[s]:9}' for s in SPLITS)
-    if mine:
-      mean = np.mean([examined[i][1:4] for i in mine], axis=0)
-      line += f'{mean[0]:9.1%}{mean[2]:9.1%}{mean[1]:9.3f}'
+    told = [examined[i] for i in mine if examined[i].visible]  # records that were read do not tell
+    if told:
+      mean = np.mean(told, axis=0)
+      line += f'{mean[1]:9.1%}{mean[3]:9.1%}{mean[2]:9.3f}'
     lines.append(line)
   lines.append(
     f'(visible: of the voxels of a view; within: of these, colour within {FIDELITY} of what the'
@@ -130,10 +131,14 @@ def overview(
 
 
 def _quality(examined: Sequence[Examined]) -> str:
-  mean = Examined(*np.mean(examined, axis=0))
+  error = np.mean([e.error for e in examined])
+  told = [e for e in examined if e.visible]
+  if not told:
+    return f'where the flow points, off by {error:.3f} for all; none is marked as visible'
+  mean = Examined(*np.mean(told, axis=0))
   return (
     f'where the flow points, off by {mean.visible_error:.3f} for visible voxels'
-    f' ({mean.visible_faithful:.1%} within {FIDELITY}), by {mean.error:.3f} for all'
+    f' ({mean.visible_faithful:.1%} within {FIDELITY}), by {error:.3f} for all'
   )
 
 

@@ -27,6 +27,7 @@ from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import mesh as mesh_lib
 from datagen import sources
+from datagen.examine import flow_stats
 from datagen.facts import facts_of
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
 from datagen.limits import call_within
@@ -65,7 +66,7 @@ class Outcome(NamedTuple):
 
   row: int
   seconds: float
-  stats: FlowStats | None  # None when it failed or was read
+  stats: FlowStats | None  # None when it failed
   reason: str  # '' when it did not
 
 
@@ -126,15 +127,16 @@ def run_job(job: Job) -> Outcome:
   return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()))
 
 
-def _make(job: Job) -> tuple[Record, FlowStats | None]:
+def _make(job: Job) -> tuple[Record, FlowStats]:
   source = sources.source(job.source)
   if hasattr(source, 'read_record'):  # it holds records, not meshes
-    return source.read_record(
+    record = source.read_record(
       job.model,
       azimuths=job.settings.azimuths,
       image_size=job.settings.image_size,
       grid_size=job.settings.grid_size,
-    ), None
+    )
+    return record, flow_stats(record, job.settings.similarity)
   return make_record(source.load(job.model), job.settings)
 
 

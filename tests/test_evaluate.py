@@ -28,7 +28,7 @@ class _State(NamedTuple):
   step: Any
 
 
-def _save(folder, kind, network):
+def save_network(folder, kind, network):
   """A workdir with a network of random parameters."""
   image = np.zeros((1, network.image_size, network.image_size, 3), np.float32)
   shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), image, train=False))
@@ -60,8 +60,8 @@ def given(tmp_path_factory):
   )
   return {
     'data': str(root / 'data'),
-    'shape': _save(str(root / 'shape'), 'shape', ShapeNetwork(IMAGE, GRID)),
-    'color': _save(str(root / 'color'), 'color', ColorNetwork(IMAGE, GRID)),
+    'shape': save_network(str(root / 'shape'), 'shape', ShapeNetwork(IMAGE, GRID)),
+    'color': save_network(str(root / 'color'), 'color', ColorNetwork(IMAGE, GRID)),
   }
 
 

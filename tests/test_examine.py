@@ -3,7 +3,7 @@ import pytest
 import synthetic
 
 from cvn.dataset import Facts, Record
-from datagen.examine import examine, suspicions
+from datagen.examine import examine, flow_stats, suspicions
 
 GOOD = examine(
   synthetic.make_record(0, image_size=64, grid_size=32)._replace(facts=Facts(100, 0, 0.5))
@@ -40,6 +40,18 @@ def test_the_seen_voxel_fetches_a_wrong_colour():
 
 def test_nothing_visible_is_no_error():
   assert examine(two_voxels()._replace(visible=np.array([[False, False]]))).visible_error == 0
+
+
+def test_flows_that_were_made_elsewhere():
+  # The first voxel fetches its own red, the second blue.
+  s = flow_stats(two_voxels(), 0.1)
+  assert (s.visible, s.matched, s.fallback) == (0.5, 0, 0.5)
+  assert (s.visible_error, s.visible_faithful) == (0, 1)
+  assert s.error == pytest.approx(np.sqrt(2) / 2)
+  unseen = two_voxels()._replace(visible=np.array([[False, False]]))
+  s = flow_stats(unseen, 0.1)
+  assert (s.visible, s.matched, s.fallback) == (0, 0.5, 0.5)
+  assert flow_stats(unseen, 1.5).matched == 1
 
 
 def test_a_good_model_is_not_suspected():

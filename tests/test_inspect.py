@@ -1,5 +1,6 @@
 """`python -m datagen.inspect` on a data set with a broken model and a model of one colour."""
 
+import numpy as np
 import pytest
 import synthetic
 from absl import flags
@@ -42,6 +43,24 @@ def test_a_whole_data_set(data, tmp_path, capsys):
   assert '1 suspicious\n  m2: all of one colour\n' in out
   with Image.open(tmp_path / 'sheet.png') as sheet:
     assert sheet.height > 7 * 128
+
+
+def test_records_that_do_not_tell_what_is_visible(tmp_path, capsys):
+  made = synthetic.make_dataset(
+    tmp_path / 'data', 2, image_size=32, grid_size=32, categories=('ball', 'egg')
+  )
+  inspected(f'--data={tmp_path / "data"}', '--id=m1', '--sheet=')
+  own = capsys.readouterr().out.split('colour')[1].split(', by')[0]
+  record = dataset_lib.read_record(made, 0)
+  unseen = record._replace(visible=np.zeros_like(record.visible))
+  dataset_lib.write_record(made.arrays, 0, unseen)
+  inspected(f'--data={tmp_path / "data"}', '--sheet=')
+  out = capsys.readouterr().out
+  lines = {line.split()[0]: line.split() for line in out.splitlines() if line.strip()}
+  assert (len(lines['ball']), len(lines['egg'])) == (6, 9)
+  assert own in out  # of visible voxels, only those of the other model count
+  inspected(f'--data={tmp_path / "data"}', '--id=m0', '--sheet=')
+  assert 'none is marked as visible' in capsys.readouterr().out
 
 
 def test_one_model(data, tmp_path, capsys):
