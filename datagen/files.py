@@ -42,9 +42,10 @@ def folder_files(path: str) -> Files:
 
   def names(folder=''):
     found = []
-    for folder, folders, files in os.walk(os.path.join(root, *_inside(path, folder).split('/'))):
+    top = os.path.join(root, *_inside(path, folder).split('/'))
+    for here, folders, files in os.walk(top):
       folders[:] = [name for name in folders if not name.startswith('.')]
-      below = os.path.relpath(folder, root)
+      below = os.path.relpath(here, root)
       found += [os.path.normpath(os.path.join(below, n)) for n in files if not n.startswith('.')]
     return sorted(name.replace(os.sep, '/') for name in found)
 
@@ -52,7 +53,7 @@ def folder_files(path: str) -> Files:
     plain = _inside(path, name)
     file = os.path.realpath(os.path.join(root, *plain.split('/')))
     if os.path.commonpath([root, file]) != root:
-      raise UserError(f'{path}: {name} leads out of the folder')
+      raise UserError(f'{name!r} leads out of {path}: what it names must be there')
     if not os.path.isfile(file):  # a device or a pipe could be read forever
       raise FileNotFoundError(f'{path} has no file {name}')
     try:
@@ -61,7 +62,7 @@ def folder_files(path: str) -> Files:
         _check_size(path, name, size)
         return f.read(size)
     except OSError as e:
-      raise UserError(f'{path}: {name} cannot be read: {e.strerror}') from e
+      raise UserError(f'{name} in {path} cannot be read: {e.strerror}') from e
 
   def alike(name):
     found = ''
@@ -96,8 +97,9 @@ def archive_files(path: str) -> Iterator[Files]:
       ) from e
     members = {}
     for info in archive.infolist():
-      plain = _plain(info.filename.replace('\\', '/'))  # as some programs for Windows write them
-      if plain and not info.is_dir():
+      name = info.filename.replace('\\', '/')  # as some programs for Windows write them
+      plain = _plain(name)
+      if plain and name and not name.endswith('/'):
         members[plain] = info
     if len(members) > MAX_MEMBERS:
       raise UserError(f'{path} has more than {MAX_MEMBERS} members')
@@ -117,9 +119,9 @@ def archive_files(path: str) -> Iterator[Files]:
           while piece := f.read(PIECE):
             content.write(piece)
       except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError) as e:
-        raise UserError(f'{path}: {name} is damaged: {e}') from e
+        raise UserError(f'{name} in {path} is damaged: {e}') from e
       except (NotImplementedError, RuntimeError) as e:  # a method of packing, or a password
-        raise UserError(f'{path}: {name} cannot be unpacked: {e}') from e
+        raise UserError(f'{name} in {path} cannot be unpacked: {e}') from e
       return content.getvalue()
 
     @functools.cache
@@ -175,10 +177,10 @@ def _plain(name):
 def _inside(path, name):
   plain = _plain(name)
   if plain is None:
-    raise UserError(f'{path}: {name!r} leads out of it')
+    raise UserError(f'{name!r} leads out of {path}: what it names must be there')
   return plain
 
 
 def _check_size(path, name, size):
   if size > MAX_FILE:
-    raise UserError(f'{path}: {name} is larger than {MAX_FILE >> 20} MiB')
+    raise UserError(f'{name} in {path} is larger than {MAX_FILE >> 20} MiB')

@@ -188,6 +188,9 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
     if texture < 0:
       uv = np.zeros((len(faces), 3, 2), np.float32)
     keep = _has_area(vertices, faces) & (colors[..., 3].max(-1) >= INVISIBLE_ALPHA)
+    used = np.zeros(len(vertices), bool)
+    used[faces[keep]] = True
+    vertices[~used] = 0  # they may be anything, NaN too
     # A mirroring transform turns faces inside out: their corners go backwards.
     corners = [2, 1, 0] if np.linalg.det(transform[:3, :3]) < 0 else [0, 1, 2]
     parts.append(

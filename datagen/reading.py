@@ -20,6 +20,7 @@ from datagen.files import Files, find
 from datagen.headers import MAX_FACES, check_dae, check_gltf
 from datagen.images import check_image
 from datagen.mesh import TexturedMesh, check, from_trimesh
+from datagen.mtl import plain_mtl
 from datagen.obj import absolute_indices
 
 EXTENSIONS = ('.obj', '.glb', '.gltf', '.ply', '.dae', '.off', '.stl')
@@ -30,7 +31,7 @@ logging.getLogger('trimesh').setLevel(logging.CRITICAL)
 
 
 def read_mesh(files: Files, name: str) -> TexturedMesh:
-  """Reads one mesh file; `missing` of the mesh lists the files that it names and that are not there.
+  """Reads one mesh file; `missing` of the mesh lists the files that it names in vain.
 
   Args:
     files: the folder or archive that holds it and what it names.
@@ -70,13 +71,19 @@ def _load(content, extension, resolver):
     check_gltf(content, resolver.get)
   elif extension == '.dae':
     check_dae(content)
-  elif extension == '.obj':
+  elif not _is_binary(content, extension):
+    content = _as_utf8(content)
+  if extension == '.ply':  # trimesh would make paths of edges, with room for each possible vertex
+    content = content.replace(b'\nelement edge ', b'\nelement unused_edge ', 1)
+  if extension == '.obj':
     content = absolute_indices(content)
   # process=False: merging vertices would also merge their colours.
   scene = trimesh.load_scene(
     io.BytesIO(content), file_type=extension[1:], resolver=resolver, process=False
   )
-  resolver.check(pictures=extension not in GLTF)
+  resolver.check()
+  if extension not in GLTF:  # of which they have been checked
+    resolver.check_pictures(but=1 if extension == '.obj' else 0)  # its MTL is the first
   parts = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
   faces = sum(len(part.faces) for part in parts if isinstance(part, trimesh.Trimesh))
   if faces > MAX_FACES:
@@ -108,23 +115,26 @@ class _Resolver(trimesh.resolvers.Resolver):
         raise
     return self._contents[name]
 
-  def check(self, pictures: bool) -> None:
-    """Raises what went wrong; `pictures` says that all files but MTL's should be pictures."""
+  def check(self) -> None:
+    """Raises what went wrong."""
     if self._error is not None:
       raise self._error
-    for name, content in self._contents.items() if pictures else ():
-      if not name.lower().endswith('.mtl'):
-        try:
-          check_image(content)
-        except UserError as e:
-          raise UserError(f'{name} {e}') from e
+
+  def check_pictures(self, but: int) -> None:
+    """Looks at the files that were asked for, but for the first so many."""
+    for name, content in list(self._contents.items())[but:]:
+      try:
+        check_image(content)
+      except UserError as e:
+        raise UserError(f'{name} {e}') from e
 
   def _find(self, name):
     # MTL options (`-s 1 1 1 wood.png`) stand before the name.
     plain = re.sub(r'^(-\w+(\s+(-?[\d.]+|on|off))+\s+)+', '', name.strip())
     for spelling in dict.fromkeys((plain, urllib.parse.unquote(plain))):  # glTF and DAE have URIs
       try:
-        return find(self.files, self.folder, spelling)[1]
+        found, content = find(self.files, self.folder, spelling)
+        return plain_mtl(_as_utf8(content)) if found.lower().endswith('.mtl') else content
       except FileNotFoundError:
         continue
     self.missing.add(plain)
@@ -141,6 +151,23 @@ class _Resolver(trimesh.resolvers.Resolver):
   def write(self, name: str, data) -> None:
     """Nothing is written."""
     raise PermissionError(name)
+
+
+def _is_binary(content, extension):
+  """Whether a PLY or STL file is."""
+  if extension == '.ply':
+    return b'format ascii' not in content[:200]
+  size = int.from_bytes(content[80:84], 'little')
+  return extension == '.stl' and len(content) == 84 + 50 * size
+
+
+def _as_utf8(text):
+  """The bytes of a text; one that is not UTF-8 is taken as Latin-1, in which any bytes are text."""
+  try:
+    text.decode()
+    return text
+  except UnicodeDecodeError:
+    return text.decode('latin-1').encode()
 
 
 def _turn_up(mesh, content):
