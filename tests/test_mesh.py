@@ -105,6 +105,18 @@ def test_material_color_without_texture_and_black_is_black():
   assert_color(color_at(from_trimesh(textured(diffuse=[0.0, 0.0, 0.0])), 0.3, 0.6), [0, 0, 0])
 
 
+@pytest.mark.parametrize(
+  ('kd', 'expected'),
+  [
+    ([0.4, 0.4, 0.4], [102, 102, 102]),  # what trimesh takes for no colour
+    ([1.2, 0.5, 0.0], [255, 127.5, 0]),
+    ([200.0, 100.0, 50.0], [200, 100, 50]),
+  ],
+)
+def test_kd_is_read_as_it_is_written(kd, expected):
+  assert_color(color_at(from_trimesh(textured(diffuse=kd, kd=kd)), 0.3, 0.6), expected)
+
+
 def test_placeholder_texture_is_none_and_a_small_one_from_a_file_is(tmp_path):
   grey = [NO_COLOR * 255] * 3
   bare = trimesh.Trimesh(QUAD, QUAD_FACES, visual=TextureVisuals(uv=UV), process=False)
