@@ -4,7 +4,7 @@ import re
 
 from cvn.errors import UserError
 
-_RELATIVE = re.compile(rb'^[ \t]*f[ \t][^\n]*[ \t/][-0]', re.MULTILINE)
+_RELATIVE = re.compile(rb'^[ \t]*f(?=[ \t])[^\n]*[ \t/][-0]', re.MULTILINE)
 _KINDS = {b'v': 0, b'vt': 1, b'vn': 2}
 
 
