@@ -17,9 +17,10 @@ import trimesh
 
 from cvn.errors import UserError
 from datagen.files import Files, find
+from datagen.from_trimesh import from_trimesh
 from datagen.headers import MAX_FACES, check_dae, check_gltf
 from datagen.images import check_image
-from datagen.mesh import TexturedMesh, check, from_trimesh
+from datagen.mesh import TexturedMesh, check
 from datagen.mtl import plain_mtl
 from datagen.obj import absolute_indices
 

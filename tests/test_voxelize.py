@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, index_to_world
-from datagen.mesh import TexturedMesh, from_trimesh, normalize
+from datagen.from_trimesh import from_trimesh
+from datagen.mesh import TexturedMesh, normalize
 from datagen.voxelize import voxelize
 
 FAR = 0.5  # voxels: no occupied centre is farther from the surface
