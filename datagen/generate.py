@@ -2,6 +2,8 @@ r"""Textured meshes -> a data set for training.
 
 python -m datagen.generate --source=procedural --category=chair --limit=200 --output=DIR
 python -m datagen.generate --source=meshes --category=chair --input=DIR --output=DIR
+python -m datagen.generate --source=sweethome3d --category='chair,sofa=sofa|couch' --input=DIR \
+  --output=DIR
 
 The same command again makes only what is missing; --append adds other models to a data set that is
 there. Models that fail are listed, with the reason, in failures.json, and left out.
@@ -47,7 +49,13 @@ def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
   flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Where the meshes come from.', **own)
-  flags.DEFINE_list('category', None, 'One category, or several separated by commas.', **own)
+  flags.DEFINE_list(
+    'category',
+    None,
+    "One category, or several separated by commas; for --source=sweethome3d also 'NAME=PATTERN', a"
+    ' regular expression of names, without commas.',
+    **own,
+  )
   flags.DEFINE_string('input', None, 'The folder or file that --source reads.', **own)
   flags.DEFINE_string('output', None, 'The folder or URL of the data set.', **own)
   flags.DEFINE_boolean('append', False, 'Add the models to the data set that is there.', **own)

@@ -16,6 +16,7 @@ SOURCES = {
   'meshes': 'datagen.sources.mesh_folder',
   'procedural': 'datagen.sources.procedural',
   'shapenet': 'datagen.sources.shapenet',
+  'sweethome3d': 'datagen.sources.sweethome3d',
 }
 
 
