@@ -1,9 +1,7 @@
 """Where on the person each vertex is: coordinates along and around trunk, arms and legs, at rest.
 
-They say where clothes end and how cloth is laid: `arm` runs from 0 at the shoulder over 1 at the
-elbow to 2 at the wrist, `leg` from 0 at the hip over 1 at the knee to 2 at the ankle, `around` is
-the share of a turn about trunk or limb, 0 in front, and `along` is a length in heights of the
-person: upwards on trunk and legs, towards the shoulder on arms, and continuous between them.
+They say where clothes end and how cloth is laid. Every part has coordinates of its own for all
+vertices, so that two panels of cloth that meet at a seam share no coordinates there.
 """
 
 from collections.abc import Mapping
@@ -13,8 +11,13 @@ import numpy as np
 
 from datagen.sources.people.data import BodyData
 
-PARTS = ('trunk', 'arm', 'leg')
 _FINGERS = ('thumb', 'index', 'middle', 'ring', 'pinky')
+_BONES = {
+  'arm': ('upperarm', 'lowerarm', 'hand', *_FINGERS),
+  'forearm': ('lowerarm', 'hand', *_FINGERS),
+  'leg': ('thigh', 'calf', 'foot', 'ball'),
+  'head': ('head',),
+}
 
 
 class Chart(NamedTuple):
@@ -24,13 +27,16 @@ class Chart(NamedTuple):
   at: Mapping[str, np.ndarray]  # where bones begin, [3] each
   floor: float  # the lowest y of the body
   height: float  # of the body
-  arm: np.ndarray  # [V]; meaningful where `limb` is 1
-  leg: np.ndarray  # [V]
-  limb: np.ndarray  # [V] index into PARTS: which of them a vertex belongs to most
   arm_weight: np.ndarray  # [V] share of the arms' bones
   head_weight: np.ndarray  # [V]
-  around: np.ndarray  # [V] in [-1/2, 1/2], growing to the person's left
-  along: np.ndarray  # [V] in heights, 0 at the floor
+  is_arm: np.ndarray  # [V] bool
+  is_leg: np.ndarray  # [V] bool
+  arm: np.ndarray  # [V] 0 at the shoulder, 1 at the elbow, 2 at the wrist
+  leg: np.ndarray  # [V] 0 at the hip, 1 at the knee, 2 at the ankle
+  # trunk, arm_l, arm_r, leg_l, leg_r -> [V, 2]: u is the share of a turn about it in [-1/2, 1/2], 0
+  # in front and growing to the person's left; v is a length in heights of the person, 0 at the
+  # floor: upwards on trunk and legs, towards the shoulder on arms.
+  laid: Mapping[str, np.ndarray]
 
 
 def chart(data: BodyData, vertices: np.ndarray, at: Mapping[str, np.ndarray]) -> Chart:
@@ -43,64 +49,58 @@ def chart(data: BodyData, vertices: np.ndarray, at: Mapping[str, np.ndarray]) ->
   """
   x, y, z = vertices.T
   used = y[np.unique(data.groups['body'])]
-  low, high = float(used.min()), float(used.max())
-  share = {
-    kind: sum(
-      (data.weights[:, k] for k, b in enumerate(data.bones) if b.startswith(prefixes)),
-      np.zeros(len(vertices)),
-    )
-    for kind, prefixes in {
-      'arm': ('upperarm', 'lowerarm', 'hand', *_FINGERS),
-      'forearm': ('lowerarm', 'hand', *_FINGERS),
-      'leg': ('thigh', 'calf', 'foot', 'ball'),
-      'head': ('head',),
-    }.items()
+  floor, height = float(used.min()), float(np.ptp(used))
+  weight = {
+    part: data.weights[:, [b.startswith(names) for b in data.bones]].sum(1)
+    for part, names in _BONES.items()
   }
-  limb = np.where(share['arm'] > 0.5, 1, np.where(share['leg'] > 0.5, 2, 0))
-
   hip, knee, ankle = (0.5 * (at[f'{b}_l'] + at[f'{b}_r'])[1] for b in ('thigh', 'calf', 'foot'))
   leg = np.where(y > knee, (hip - y) / (hip - knee), 1 + (knee - y) / (knee - ankle))
-
-  arm, around, along = np.zeros_like(x), np.zeros_like(x), (y - low) / (high - low)
+  up = (y - floor) / height
   middle = 0.5 * (at['pelvis'][2] + at['spine_03'][2])
-  around = np.arctan2(x, z - middle)
-  for s, left in (('l', x >= 0), ('r', x < 0)):
-    shoulder, elbow, hand = (at[f'{b}_{s}'] for b in ('upperarm', 'lowerarm', 'hand'))
-    upper, angle = _about(vertices, shoulder, elbow)
-    lower, lower_angle = _about(vertices, elbow, hand)
-    own = np.where(share['forearm'] > 0.5, 1 + lower, upper)
-    arm = np.where(left, own, arm)
-    angle = np.where(share['forearm'] > 0.5, lower_angle, angle)
-    first, second = np.linalg.norm(elbow - shoulder), np.linalg.norm(hand - elbow)
-    reach = np.where(own < 1, own * first, first + (own - 1) * second)
-    mine = left & (limb == 1)
-    around = np.where(mine, angle, around)
-    along = np.where(mine, (shoulder[1] - low - reach) / (high - low), along)
-    hip, knee, ankle = (at[f'{b}_{s}'] for b in ('thigh', 'calf', 'foot'))
-    path = np.stack([ankle, knee, hip])
-    center = np.stack([np.interp(y, path[:, 1], path[:, k]) for k in (0, 2)])
-    mine = left & (limb == 2)
-    around = np.where(mine, np.arctan2(x - center[0], z - center[1]), around)
+  laid = {'trunk': np.stack([np.arctan2(x, z - middle) / (2 * np.pi), up], 1)}
+  arm = {}
+  for s in 'lr':
+    arm[s], around, reach = _along_arm(vertices, at, s, weight['forearm'] > 0.5)
+    down = (at[f'upperarm_{s}'][1] - floor - reach) / height
+    laid[f'arm_{s}'] = np.stack([around, down], 1)
+    line = np.stack([at[f'{b}_{s}'] for b in ('foot', 'calf', 'thigh')])
+    center_x, center_z = (np.interp(y, line[:, 1], line[:, k]) for k in (0, 2))
+    around = np.arctan2(x - center_x, z - center_z) / (2 * np.pi)
+    laid[f'leg_{s}'] = np.stack([around, up], 1)
   return Chart(
     vertices=vertices,
     at=at,
-    floor=low,
-    height=high - low,
-    arm=arm,
+    floor=floor,
+    height=height,
+    arm_weight=weight['arm'],
+    head_weight=weight['head'],
+    is_arm=weight['arm'] > 0.5,
+    is_leg=weight['leg'] > 0.5,
+    arm=np.where(x >= 0, arm['l'], arm['r']),
     leg=leg,
-    limb=limb,
-    arm_weight=share['arm'],
-    head_weight=share['head'],
-    around=around / (2 * np.pi),
-    along=along,
+    laid=laid,
   )
 
 
+def _along_arm(vertices, at, s, is_forearm):
+  """[V] each: place along one arm, share of a turn about it, and length from the shoulder in dm."""
+  shoulder, elbow, hand = (at[f'{b}_{s}'] for b in ('upperarm', 'lowerarm', 'hand'))
+  upper, upper_around = _about(vertices, shoulder, elbow)
+  lower, lower_around = _about(vertices, elbow, hand)
+  place = np.where(is_forearm, 1 + lower, upper)
+  lengths = np.linalg.norm(elbow - shoulder), np.linalg.norm(hand - elbow)
+  reach = np.where(place < 1, place * lengths[0], lengths[0] + (place - 1) * lengths[1])
+  return place, np.where(is_forearm, lower_around, upper_around), reach
+
+
 def _about(vertices, start, end):
-  """Along a bone as a share of it, and the angle about it, 0 where it looks to +z."""
-  axis = (end - start) / np.linalg.norm(end - start)
+  """Along a bone as a share of it, and the share of a turn about it, 0 where it looks to +z."""
+  length = np.linalg.norm(end - start)
+  axis = (end - start) / length
   front = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
   front /= np.linalg.norm(front)
   offset = vertices - start
-  angle = np.arctan2(offset @ np.cross(axis, front), offset @ front)
-  return offset @ axis / np.linalg.norm(end - start), angle
+  # Seen from the front, an arm that hangs has the person's left on the right, whichever arm it is.
+  left = np.cross(front, axis)
+  return offset @ axis / length, np.arctan2(offset @ left, offset @ front) / (2 * np.pi)

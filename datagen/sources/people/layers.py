@@ -1,15 +1,21 @@
-"""Surfaces of a dressed person: parts of the helpers' and the body's faces, cut, lifted and coloured.
+"""Surfaces of a dressed person: parts of the helpers' and body's faces, cut, lifted and painted.
 
 A layer is where a field over the vertices is not negative. Triangles that its zero runs through are
-cut there, so hems and hairlines are smooth lines and not the mesh's teeth.
+cut there, so hems and hairlines are smooth lines and not the mesh's teeth; a rim leads from there
+down to the surface that the layer was lifted from, so that hems are closed. Where seams are zero it
+is cut too, without a rim: there the next panel of the same cloth goes on.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from datagen.mesh import TexturedMesh
+from datagen.sources.people.data import BodyData
 from datagen.sources.people.rig import skin
+
+NO_AREA = 1e-12  # dm^2: faces with less are left out
 
 
 class Paint(NamedTuple):
@@ -28,6 +34,7 @@ class Layer(NamedTuple):
   field: np.ndarray  # [V]; the surface is where it is >= 0
   lift: np.ndarray  # [V] how far it lies off the group's surface, dm
   paint: Paint
+  seams: tuple[np.ndarray, ...] = ()  # [V] each; the surface is where all are >= 0
 
 
 class Prop(NamedTuple):
@@ -37,6 +44,15 @@ class Prop(NamedTuple):
   faces: np.ndarray  # [F, 3]
   bone: str
   paint: Paint
+
+
+class Cut(NamedTuple):
+  """What is left of triangles over V vertices, and where the new vertices V + k lie."""
+
+  faces: np.ndarray  # [G, 3]
+  edges: np.ndarray  # [E, 2] the new vertex k lies on edges[k],
+  shares: np.ndarray  # [E] so far from its first end towards its second
+  rim: np.ndarray  # [R, 2] new edges, in the direction that the faces have them
 
 
 def triangles(quads: np.ndarray) -> np.ndarray:
@@ -55,20 +71,11 @@ def normals(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
   return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
-def clip(faces: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-  """Cuts triangles where a field, linear in them, is zero, and keeps what is not negative.
-
-  Args:
-    faces: [F, 3].
-    field: [V].
-
-  Returns:
-    faces [G, 3], in which V + k is the k-th new vertex; edges [E, 2] and shares [E]: the new
-    vertex k lies on edges[k], so far from its first end towards its second.
-  """
+def clip(faces: np.ndarray, field: np.ndarray) -> Cut:
+  """Cuts triangles [F, 3] where a field [V], linear in them, is 0; keeps what is not negative."""
   inside = field[faces] >= 0
   count = inside.sum(1)
-  kept, edges, start = [faces[count == 3]], [], len(field)
+  kept, edges, rim, start = [faces[count == 3]], [], [], len(field)
   for corners in (1, 2):
     cut = faces[count == corners]
     odd = np.argmax(inside[count == corners] == (corners == 1), axis=1)
@@ -79,39 +86,45 @@ def clip(faces: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     edges += [np.stack([a, b], 1), np.stack([a, c], 1)]
     if corners == 1:
       kept.append(np.stack([a, ab, ac], 1))
+      rim.append(np.stack([ab, ac], 1))
     else:
       kept += [np.stack([ab, b, c], 1), np.stack([ab, c, ac], 1)]
+      rim.append(np.stack([ac, ab], 1))
   edge = np.concatenate(edges)
   first, second = field[edge[:, 0]], field[edge[:, 1]]
-  return np.concatenate(kept), edge, first / (first - second)
+  return Cut(np.concatenate(kept), edge, first / (first - second), np.concatenate(rim))
 
 
-def assemble(layers, props, vertices, group_normals, weights, transforms, bones) -> TexturedMesh:
+def assemble(
+  data: BodyData,
+  layers: Sequence[Layer],
+  props: Sequence[Prop],
+  vertices: np.ndarray,
+  outward: np.ndarray,
+  transforms: np.ndarray,
+) -> TexturedMesh:
   """Cuts, lifts, poses and joins.
 
   Args:
-    layers: `Layer`s.
-    props: `Prop`s.
+    data: weights and bones.
+    layers: surfaces; at least one of them has faces that are not cut away.
+    props: solid things.
     vertices: [V, 3] the body at rest.
-    group_normals: [V, 3]; groups share no vertices.
-    weights: [V, B].
+    outward: [V, 3] normals at rest.
     transforms: [B, 4, 4] where bones go.
-    bones: their names.
   """
+  posed = skin(vertices, data.weights, transforms)
   parts, textures = [], []
   for layer in layers:
-    faces, edge, share = clip(triangles(layer.faces), layer.field)
-    if not len(faces):
-      continue
     used = np.unique(layer.faces)
-    posed = np.zeros_like(vertices)
-    lifted = vertices[used] + layer.lift[used, None] * group_normals[used]
-    posed[used] = skin(lifted, weights[used], transforms)
-    points = _with_new(posed, edge, share)
-    uv = None if layer.paint.uv is None else _with_new(layer.paint.uv, edge, share, layer.paint)
-    parts.append(_part(points, faces, layer.paint, uv, textures))
+    lifted = np.zeros_like(posed)
+    off = vertices[used] + layer.lift[used, None] * outward[used]
+    lifted[used] = skin(off, data.weights[used], transforms)
+    points, uv, faces = _cut_out(layer, lifted, posed)
+    if len(faces):
+      parts.append(_part(points, faces, layer.paint, uv, textures))
   for prop in props:
-    m = transforms[bones.index(prop.bone)]
+    m = transforms[data.bones.index(prop.bone)]
     points = prop.vertices @ m[:3, :3].T + m[:3, 3]
     parts.append(_part(points, prop.faces, prop.paint, None, textures))
   offsets = np.cumsum([0] + [len(p[0]) for p in parts[:-1]])
@@ -125,18 +138,36 @@ def assemble(layers, props, vertices, group_normals, weights, transforms, bones)
   )
 
 
-def _with_new(values, edge, share, paint=None):
-  """Appends the new vertices' values."""
-  first, second = values[edge[:, 0]], values[edge[:, 1]]
-  if paint is not None and paint.wraps:
-    second = second - np.round(second - first) * [1, 0]
-  return np.concatenate([values, first + share[:, None] * (second - first)])
+def _cut_out(layer, lifted, posed):
+  """The layer's (points [N, 3], uv [N, 2], faces [G, 3]), posed; points that no face has, too."""
+  uv = np.zeros((len(posed), 2)) if layer.paint.uv is None else layer.paint.uv
+  values = np.column_stack([lifted, posed, uv, layer.field, *layer.seams])
+  faces = triangles(layer.faces)
+  for k in range(len(layer.seams)):
+    cut = clip(faces, values[:, 9 + k])
+    faces, values = cut.faces, _with_new(values, cut, layer.paint.wraps)
+  cut = clip(faces, values[:, 8])
+  faces, values = cut.faces, _with_new(values, cut, layer.paint.wraps)
+  points, low, uv = values[:, :3], values[:, 3:6], values[:, 6:8]
+  if not layer.lift.any():
+    return points, uv, faces
+  (a, b), below = cut.rim.T, cut.rim.T + len(points)
+  rim = np.concatenate([np.stack([b, a, below[0]], 1), np.stack([b, below[0], below[1]], 1)])
+  return np.concatenate([points, low]), np.tile(uv, (2, 1)), np.concatenate([faces, rim])
+
+
+def _with_new(values, cut, wraps):
+  """Appends the new vertices' values [V, C]; columns 6 and 7 are u and v."""
+  first, second = values[cut.edges[:, 0]], values[cut.edges[:, 1]]
+  if wraps:
+    second[:, 6] -= np.round(second[:, 6] - first[:, 6])
+  return np.concatenate([values, first + cut.shares[:, None] * (second - first)])
 
 
 def _part(points, faces, paint, uv, textures):
   """One part's (vertices, faces, corner colours, uv, texture), without faces of no area."""
   a, b, c = (points[faces[:, k]] for k in range(3))
-  faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]
+  faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > NO_AREA]
   slot, corner_uv = -1, np.zeros((len(faces), 3, 2), np.float32)
   color = np.append(paint.color, 1.0)
   if paint.picture is not None:

@@ -12,12 +12,42 @@ import PIL.Image
 import PIL.ImageDraw
 
 SIZE = 256  # pixels of a picture's sides
-KINDS = {
-  'plain': 3.0, 'hoops': 3.0, 'pinstripes': 2.0, 'checks': 2.0, 'dots': 1.5, 'gradient': 1.5,
-  'halves': 1.0, 'band': 1.5, 'diagonal': 1.0, 'patches': 1.0, 'diamonds': 1.0,
-}  # fmt: skip
+KINDS = {  # how often each is taken, in comparison
+  'plain': 3.0,
+  'hoops': 3.0,
+  'pinstripes': 2.0,
+  'checks': 2.0,
+  'plaid': 1.5,
+  'dots': 1.5,
+  'gradient': 1.5,
+  'halves': 1.0,
+  'band': 1.5,
+  'diagonal': 1.0,
+  'patches': 1.0,
+  'diamonds': 1.0,
+}
+NEUTRAL = np.array(
+  [
+    [0.08, 0.08, 0.1],
+    [0.95, 0.95, 0.93],
+    [0.5, 0.5, 0.53],
+    [0.85, 0.8, 0.68],
+    [0.2, 0.28, 0.45],
+    [0.36, 0.26, 0.18],
+  ]
+)
 PRINTS = ('disc', 'star', 'heart', 'number', 'square', 'ring', 'arrow')
+# The bars of the digits 0 to 9 on a display of seven, and the box (x0, y0, x1, y1) of each bar.
 SEGMENTS = ('abcdef', 'bc', 'abged', 'abgcd', 'fgbc', 'afgcd', 'afgecd', 'abc', 'abcdefg', 'abcdfg')
+BARS = {
+  'a': (-0.7, 0.65, 0.7, 1),
+  'b': (0.25, 0, 0.7, 1),
+  'c': (0.25, -1, 0.7, 0),
+  'd': (-0.7, -1, 0.7, -0.65),
+  'e': (-0.7, -1, -0.25, 0),
+  'f': (-0.7, 0, -0.25, 1),
+  'g': (-0.7, -0.18, 0.7, 0.18),
+}
 
 
 class Pattern(NamedTuple):
@@ -36,8 +66,7 @@ class Pattern(NamedTuple):
 def color(rng: np.random.Generator) -> np.ndarray:
   """A cloth's colour [3]: mostly strong, at times black, white, grey or denim."""
   if rng.random() < 0.22:
-    return np.array([[0.08, 0.08, 0.1], [0.95, 0.95, 0.93], [0.5, 0.5, 0.53], [0.85, 0.8, 0.68],
-                     [0.2, 0.28, 0.45], [0.36, 0.26, 0.18]])[rng.integers(6)]  # fmt: skip
+    return NEUTRAL[rng.integers(len(NEUTRAL))]
   return matplotlib.colors.hsv_to_rgb([rng.random(), rng.uniform(0.6, 1), rng.uniform(0.45, 0.98)])
 
 
@@ -56,51 +85,58 @@ def sample(rng: np.random.Generator, main: np.ndarray, *, kind: str | None = Non
     kind = list(KINDS)[rng.choice(len(KINDS), p=share / share.sum())]
   second = unlike(rng, main)
   colors = np.stack([main, second, unlike(rng, main, second)])
-  period, turns = rng.uniform(0.11, 0.18), int(rng.integers(2, 5))
+  period, turns = rng.uniform(0.09, 0.18), int(rng.integers(2, 5))
   return Pattern(kind, colors, period, turns, rng.random(), int(rng.integers(2**31)))
 
 
-def draw(pattern: Pattern, *, part: str = 'trunk') -> np.ndarray:
+def draw(pattern: Pattern, *, part: str) -> np.ndarray:
   """The picture [SIZE, SIZE, 4] uint8 of a cloth, for 'trunk', 'arm' or 'leg'.
 
   Limbs are thinner: what repeats around does so less often.
   """
-  scale = {'trunk': 1.0, 'arm': 0.4, 'leg': 0.6}[part]
-  turns = max(1, round(pattern.turns * scale))
   center = (np.arange(SIZE) + 0.5) / SIZE
   u, v = np.meshgrid(center, 1 - center)
-  row = v / pattern.period + pattern.phase
-  column = u * turns + (0.25 if part == 'trunk' else pattern.phase)
-  a, b, c = pattern.colors
-  kind = pattern.kind
   t = np.clip((v - pattern.low) / max(pattern.high - pattern.low, 0.05), 0, 1)
-  if kind == 'hoops':
-    index = np.floor(row * 2) % 2
-  elif kind == 'pinstripes':
-    index = np.floor(column * 2) % 2
-  elif kind == 'checks':
-    index = (np.floor(column * 2) + np.floor(row * 2)) % 2
-  elif kind == 'dots':
-    shift = 0.5 * (np.floor(row) % 2)
-    index = ((column + shift) % 1 - 0.5) ** 2 + (row % 1 - 0.5) ** 2 < 0.33**2
-  elif kind == 'halves':
-    index = (u > 0.5) if part == 'trunk' else np.zeros_like(u)
-  elif kind == 'band':
-    index = (t > 0.45) & (t < 0.7) if part != 'arm' else np.zeros_like(u)
-  elif kind == 'diagonal':
-    index = np.floor((column + row) * 2) % 2
-  elif kind == 'patches':
-    index = _patches(pattern, u, v, turns)
-  elif kind == 'diamonds':
-    index = (np.abs(column % 1 - 0.5) + np.abs(row * 0.6 % 1 - 0.5) < 0.36).astype(int)
+  if pattern.kind == 'gradient':
+    rgb = pattern.colors[0] + (pattern.colors[1] - pattern.colors[0]) * t[..., None]
   else:
-    index = np.zeros_like(u)
-  rgb = np.stack([a, b, c])[np.asarray(index).astype(int)]
-  if kind == 'gradient':
-    rgb = a + (b - a) * t[..., None]
+    rgb = pattern.colors[_color_index(pattern, part, u, v, t)]
   image = np.full((SIZE, SIZE, 4), 255, np.uint8)
   image[..., :3] = np.round(rgb * 255)
   return image
+
+
+def _color_index(pattern, part, u, v, t):
+  """Which of the pattern's colours is at (u, v); t runs from the garment's hem to its top."""
+  turns = max(1, round(pattern.turns * {'trunk': 1.0, 'arm': 0.4, 'leg': 0.6}[part]))
+  row = v / pattern.period + pattern.phase
+  column = u * turns + 0.25  # something is in the middle of the chest, and no edge
+  odd_row, odd_column = np.floor(2 * row) % 2 == 1, np.floor(2 * column) % 2 == 1
+  match pattern.kind:
+    case 'hoops':
+      index = odd_row
+    case 'pinstripes':
+      index = odd_column
+    case 'checks':
+      index = odd_row ^ odd_column
+    case 'plaid':
+      index = odd_row.astype(int) + odd_column
+    case 'dots':
+      shifted = column + 0.5 * (np.floor(row) % 2)
+      index = (shifted % 1 - 0.5) ** 2 + (row % 1 - 0.5) ** 2 < 0.33**2
+    case 'diamonds':
+      index = np.abs(column % 1 - 0.5) + np.abs(0.6 * row % 1 - 0.5) < 0.36
+    case 'diagonal':
+      index = np.floor(2 * (column + row)) % 2
+    case 'halves':
+      index = (u > 0.5) & (part != 'arm')
+    case 'band':
+      index = (t > 0.45) & (t < 0.7) & (part != 'arm')
+    case 'patches':
+      index = _patches(pattern, u, v, turns)
+    case _:
+      index = np.zeros_like(u)
+  return index.astype(int)
 
 
 def _patches(pattern, u, v, turns):
@@ -138,7 +174,7 @@ def add_print(
   pen = PIL.ImageDraw.Draw(canvas)
   half = np.array([0.5 * size * wide * SIZE, 0.5 * size * SIZE])
   middle = np.array([0.5 * SIZE, (1 - at) * SIZE])
-  fill = (*(int(round(255 * c)) for c in ink), 255)
+  fill = (*np.rint(255 * ink).astype(int).tolist(), 255)
 
   def shape(points):
     pen.polygon([tuple(middle + half * (np.array(p) * [1, -1])) for p in points], fill=fill)
@@ -161,11 +197,7 @@ def add_print(
   elif kind == 'arrow':
     shape([(0, 1), (1, 0), (0.4, 0), (0.4, -1), (-0.4, -1), (-0.4, 0), (-1, 0)])
   else:
-    lit = SEGMENTS[rng.integers(10)]
-    bars = {'a': (-0.7, 0.65, 0.7, 1), 'd': (-0.7, -1, 0.7, -0.65), 'g': (-0.7, -0.18, 0.7, 0.18),
-            'f': (-0.7, 0, -0.25, 1), 'b': (0.25, 0, 0.7, 1), 'e': (-0.7, -1, -0.25, 0),
-            'c': (0.25, -1, 0.7, 0)}  # fmt: skip
-    for segment in lit:
-      x0, y0, x1, y1 = bars[segment]
+    for segment in SEGMENTS[rng.integers(10)]:
+      x0, y0, x1, y1 = BARS[segment]
       shape([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
   image[:] = np.array(canvas)

@@ -6,9 +6,10 @@ import numpy as np
 
 from datagen.mesh import TexturedMesh
 from datagen.sources.people import body as bodies
-from datagen.sources.people import charts, face, hair, layers, outfits, poses, rig
+from datagen.sources.people import charts, face, garments, hair, layers, outfits, poses, rig
 from datagen.sources.people.data import BodyData
 
+GROUPS = ('body', 'helper-tights', 'helper-skirt', 'helper-hair')  # that surfaces are made of
 HEM = 0.2  # dm of skin below the hems that cover it
 # The mouth's hollow of the base mesh: faces in this ball that look to its middle line it.
 HOLLOW = ((0.0, 6.65, 0.95), 0.62)
@@ -62,31 +63,20 @@ def build(data: BodyData, person: Person) -> TexturedMesh:
   vertices = bodies.mix(data, person.body)
   at = rig.joints(data, vertices)
   chart = charts.chart(data, vertices, at)
-  garments, covered = outfits.layers(data, chart, person.outfit)
+  worn, covered = garments.dress(data, chart, person.outfit)
   rng = np.random.default_rng(person.seed)
   hairs, props, haired = hair.layers(rng, data, chart, person.head)
-  bare = HEM - np.maximum(covered, haired)
-  surfaces = garments + hairs + _skin(data, chart, person, bare)
+  surfaces = worn + hairs + _skin(data, chart, person, HEM - np.maximum(covered, haired))
   pose = poses.sample(rng, data, at, person.family, girth=_girth(data, chart))
-  normals = sum(
-    layers.normals(vertices, data.groups[g])
-    for g in ('body', 'helper-tights', 'helper-skirt', 'helper-hair')
-  )
-  return layers.assemble(
-    surfaces,
-    props,
-    vertices,
-    normals,
-    data.weights,
-    rig.bone_transforms(data, at, pose.turns),
-    data.bones,
-  )
+  outward = sum(layers.normals(vertices, data.groups[g]) for g in GROUPS)
+  transforms = rig.bone_transforms(data, at, pose.turns)
+  return layers.assemble(data, surfaces, props, vertices, outward, transforms)
 
 
 def _girth(data, chart):
   """Half the depth of the trunk, dm."""
   used = np.unique(data.groups['body'])
-  trunk = used[(chart.limb[used] == 0) & (chart.head_weight[used] < 0.1)]
+  trunk = used[~(chart.is_arm | chart.is_leg)[used] & (chart.head_weight[used] < 0.1)]
   low, high = chart.at['pelvis'][1], chart.at['spine_03'][1]
   belly = trunk[(chart.vertices[trunk, 1] > low) & (chart.vertices[trunk, 1] < high)]
   return 0.45 * float(np.ptp(chart.vertices[belly, 2])) if len(belly) else 0.0
@@ -99,13 +89,11 @@ def _skin(data, chart, person, bare):
   offset = 0.25 * (a + b + c + d) - HOLLOW[0]
   inward = np.einsum('fk,fk->f', offset, np.cross(c - a, d - b)) < 0
   quads = quads[~(inward & (np.linalg.norm(offset, axis=1) < HOLLOW[1]))]
-  window = face.frame(data, chart)
-  picture = face.draw(data, chart, window, person.face)
-  uv = face.uv(chart, window)
+  at = face.marks(data, chart)
+  painted = layers.Paint(person.skin, face.draw(person.face, at), face.uv(chart, at.window))
   ear = chart.at['head'][2] + 0.35 * chart.height / 16.7
   p = chart.vertices[quads].mean(1)
   front = (chart.head_weight[quads].mean(1) > 0.5) & (p[:, 2] > ear)
-  painted = layers.Paint(person.skin, picture, uv)
   flat = np.zeros(len(bare))
   found = [
     layers.Layer(quads[~front], bare, flat, layers.Paint(person.skin)),
