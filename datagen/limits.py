@@ -3,6 +3,7 @@
 import ctypes
 import os
 import threading
+import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 
@@ -46,6 +47,7 @@ def call_within(seconds: float, function: Callable, *args, grace: float = GRACE)
     try:
       future.set_result(function(*args))
     except BaseException as e:
+      traceback.clear_frames(e.__traceback__)  # or all that it had in hand would live on with it
       future.set_exception(e)
 
   thread = threading.Thread(target=work, daemon=True)

@@ -1,8 +1,10 @@
 """Work that takes too long or too much ends with a reason, and what called it goes on."""
 
+import gc
 import subprocess
 import sys
 import time
+import weakref
 
 import pytest
 
@@ -48,6 +50,28 @@ def test_native_work_that_does_not_return_ends_the_process():
   finished = subprocess.run([sys.executable, '-c', code], timeout=300)
   assert finished.returncode == limits.EXIT_STATUS
   assert time.monotonic() - start < 300
+
+
+class Held:
+  """What work has in hand."""
+
+
+def test_failed_work_gives_back_what_it_held_at_once():
+  """The next model needs the memory, and a traceback keeps all variables alive."""
+  held = []
+
+  def work():
+    mine = Held()
+    held.append(weakref.ref(mine))
+    raise MemoryError
+
+  gc.disable()
+  try:
+    with pytest.raises(MemoryError):
+      limits.call_within(60, work)
+    assert held[0]() is None
+  finally:
+    gc.enable()
 
 
 @pytest.mark.skipif(not sys.platform.startswith('linux'), reason='only Linux heeds the limit')
