@@ -1,56 +1,81 @@
 """Faces in the very same place: which of them is seen.
 
-Modellers' programs export sheets twice, once for either side, often with a colour of its own for
-the inside, and models hold faces that are there twice. What a ray meets first among them is left to
-rounding, and a voxel would be their mean. One is kept, so that views and voxels agree.
+Many models hold their faces twice, once for either side, with another colour on the inside, or hold
+the same face several times. Renderers that show only the side that a face turns to the viewer show
+the right colour; here surfaces have two sides, what a ray meets first among such faces is left to
+rounding, and a voxel would have their mean. So one face is kept, and views and voxels agree.
 """
 
+import itertools
+
+import mitsuba as mi
 import numpy as np
 
-_FLAT = 1e-6  # of the mesh's size times the face's: nearer to the middle than this is no side
+from datagen.mesh import TexturedMesh
+from datagen.render import to_mitsuba
+
+HIDDEN = 0.25  # a side that fewer rays meet than this share of its other side's is an inside
+_SIDES = np.concatenate([np.eye(3), -np.eye(3)])
+_CORNERS = np.array(list(itertools.product((-1, 1), repeat=3))) / np.sqrt(3)
+DIRECTIONS = np.concatenate([_SIDES, _CORNERS])  # from where rays come
+RESOLUTION = 160  # rays along either side of a square that holds the mesh
 
 
-def seen_faces(vertices: np.ndarray, faces: np.ndarray, textured: np.ndarray) -> np.ndarray:
+def without_coincident(mesh: TexturedMesh) -> TexturedMesh:
   """Keeps one of all faces that have the same three corners, whichever way they go round.
 
-  It is the one that looks outwards, away from the middle of the mesh's bounding box, before one
-  that looks inwards; of several, one with a texture, and of these the first.
+  It is one that looks to where it is seen from: rays from all around meet its front, and the other
+  side's hardly. Where both sides are seen, or neither, it is one with a texture before one without,
+  then the one whose looks are met more often elsewhere, which makes sheets of one colour, and then
+  the first.
 
   Args:
-    vertices: [V, 3] float64, finite or not.
-    faces: [F, 3] integers into vertices, none without area.
-    textured: [F] bool.
-
-  Returns:
-    [F] bool, the faces to keep.
+    mesh: normalised.
   """
-  keep = np.ones(len(faces), bool)
-  if not len(faces):
-    return keep
-  # The order of the corners has no part in a sum.
-  _, place, count = np.unique(
-    _hash(vertices)[faces].sum(1), return_inverse=True, return_counts=True
-  )
+  place, turn = _places(mesh.vertices, mesh.faces)
+  count = np.bincount(place)
   again = np.flatnonzero(count[place] > 1)
   if not len(again):
-    return keep
-  corners = vertices[faces]
-  low, high = corners.min((0, 1)), corners.max((0, 1))
-  a, b, c = np.moveaxis(corners[again] - (low + high) / 2, 1, 0)
-  normal = np.cross(b - a, c - a)
-  outwards = np.einsum('nk,nk->n', normal, a)
-  scale = np.linalg.norm(normal, axis=-1) * (high - low).max()
-  side = np.where(np.abs(outwards) > _FLAT * scale, np.sign(outwards), 0)
-  rank = 6 * place[again] + 2 * (1 - side.astype(np.int64)) + ~textured[again]
-  order = np.argsort(rank, kind='stable')
+    return mesh
+  side = 2 * place + turn
+  met = np.zeros(2 * len(count))
+  if (np.bincount(side[again], minlength=len(met)).reshape(-1, 2) > 0).all(1).any():
+    front, back = _rays_met(mesh)
+    # A ray may be said to meet any of the faces in a place, from before it or from behind.
+    met = np.bincount(side, front, len(met)) + np.bincount(side ^ 1, back, len(met))
+  met, opposite = met[side[again]], met[side[again] ^ 1]
+  looks = _looks(mesh, again)
+  share = np.bincount(looks, met) / np.maximum(np.bincount(looks, met + opposite), 1)
+  order = np.lexsort(
+    (-share[looks], mesh.texture[again] < 0, met < HIDDEN * opposite, place[again])
+  )
   first = np.diff(place[again[order]], prepend=-1) != 0
-  keep[again] = False
+  keep = count[place] == 1
   keep[again[order[first]]] = True
-  return keep
+  return mesh._replace(
+    faces=mesh.faces[keep],
+    corner_colors=mesh.corner_colors[keep],
+    corner_uv=mesh.corner_uv[keep],
+    texture=mesh.texture[keep],
+  )
+
+
+def _places(vertices, faces):
+  """Where faces are, and which way they go round.
+
+  Returns:
+    place [F] int64, the same for the same three corners; turn [F], 0 or 1.
+  """
+  corners = _hash(vertices)[faces]
+  # The order of the corners has no part in a sum, and only their turn in the order from the least.
+  place = np.unique(corners.sum(1), return_inverse=True)[1]
+  least = corners.argmin(1)
+  after, before = (corners[np.arange(len(faces)), (least + k) % 3] for k in (1, 2))
+  return place, (after < before).astype(np.int64)
 
 
 def _hash(vertices):
-  """[V] uint64 of positions, the same for the same position and for no other in practice."""
+  """[V] uint64 of positions: the same for the same position and, in practice, for no other."""
   bits = (vertices + 0.0).view(np.uint64)  # + 0.0: of zero there are two
   h = np.zeros(len(vertices), np.uint64)
   for k in range(3):
@@ -59,3 +84,51 @@ def _hash(vertices):
     h *= np.uint64(0xBF58476D1CE4E5B9)
     h ^= h >> np.uint64(32)
   return h
+
+
+def _looks(mesh, faces):
+  """[N] int64, the same for faces of the same texture and colour."""
+  color = np.rint(255 * mesh.corner_colors[faces, 0]).astype(np.int64)
+  number = color @ (256 ** np.arange(4)) + (mesh.texture[faces].astype(np.int64) << 32)
+  return np.unique(number, return_inverse=True)[1]
+
+
+def _rays_met(mesh):
+  """How many rays meet each face from before it and from behind: two [F] int64."""
+  mi.set_variant('scalar_rgb')
+  scene = mi.load_dict({'type': 'scene', 'shape': to_mitsuba(mesh)})
+  integrator = mi.load_dict({'type': 'aov', 'aovs': 'face:prim_index'})
+  a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+  normal = np.cross(b - a, c - a)
+  met = np.zeros((2, len(mesh.faces)), np.int64)
+  for direction in DIRECTIONS:
+    image = mi.render(scene, sensor=_sensor(direction), integrator=integrator, spp=1)
+    face = np.rint(np.asarray(image)[..., -1]).astype(np.int64).ravel() - 1
+    face = face[face >= 0]
+    from_behind = normal[face] @ direction < 0
+    for k in range(2):
+      met[k] += np.bincount(face[from_behind == k], minlength=len(mesh.faces))
+  return met
+
+
+def _sensor(direction):
+  """Parallel rays from a direction; their square holds the cube [-0.5, 0.5]^3."""
+  up = (0, 0, 1) if abs(direction[1]) > 0.9 else (0, 1, 0)
+  look = mi.ScalarTransform4f().look_at(origin=(2 * direction).tolist(), target=(0, 0, 0), up=up)
+  return mi.load_dict(
+    {
+      'type': 'orthographic',
+      'to_world': look
+      @ mi.ScalarTransform4f().scale((0.87, 0.87, 1)),  # half of the cube's diagonal
+      'near_clip': 0.01,
+      'sampler': {'type': 'stratified', 'sample_count': 1, 'jitter': False},
+      'film': {
+        'type': 'hdrfilm',
+        'width': RESOLUTION,
+        'height': RESOLUTION,
+        'rfilter': {'type': 'box'},
+        'pixel_format': 'rgba',
+        'component_format': 'float32',
+      },
+    }
+  )

@@ -9,7 +9,6 @@ from trimesh.visual.color import DEFAULT_COLOR
 from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
-from datagen.coincident import seen_faces
 from datagen.images import to_rgba
 from datagen.mesh import CUTOUT_ALPHA, NO_COLOR, TexturedMesh
 
@@ -29,8 +28,7 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
   A texture is real when it was read from a file or is larger than 2x2 pixels: trimesh puts a 2x2
   one of its own where there is none. Without texture coordinates it is taken as its mean colour.
 
-  Faces without area, faces of invisible materials and all but one of the faces in the same place
-  (datagen/coincident.py) are left out.
+  Faces without area and faces of invisible materials are left out.
 
   Args:
     loaded: what trimesh made of a file.
@@ -89,10 +87,8 @@ def from_trimesh(loaded: trimesh.Scene | trimesh.Trimesh, *, gltf: bool = False)
       )
     )
     offset += len(vertices)
-  vertices, *of_faces = (np.concatenate(column) for column in zip(*parts, strict=True))
-  faces, texture = of_faces[0], of_faces[-1]
-  seen = seen_faces(vertices, faces, texture >= 0)
-  return TexturedMesh(vertices, *(values[seen] for values in of_faces), tuple(textures))
+  arrays = (np.concatenate(column) for column in zip(*parts, strict=True))
+  return TexturedMesh(*arrays, tuple(textures))
 
 
 _EMPTY = (

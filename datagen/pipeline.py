@@ -27,6 +27,7 @@ from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import mesh as mesh_lib
 from datagen import sources
+from datagen.coincident import without_coincident
 from datagen.examine import flow_stats
 from datagen.facts import facts_of
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
@@ -80,7 +81,7 @@ def make_record(
   """
   s = settings
   mesh_lib.check(mesh)
-  mesh = mesh_lib.normalize(mesh)
+  mesh = without_coincident(mesh_lib.normalize(mesh))
   cameras = [camera_at(a, image_size=s.image_size) for a in s.azimuths]
   flat, depths = render(mesh, cameras, image_size=s.image_size)
   for azimuth, depth in zip(s.azimuths, depths, strict=True):

@@ -64,7 +64,7 @@ def render(
   if shading not in SHADINGS:
     raise ValueError(f'shading {shading!r} is none of {SHADINGS}')
   mi.set_variant('scalar_rgb')
-  shape = _to_mitsuba(mesh)
+  shape = to_mitsuba(mesh)
   scene = mi.load_dict({'type': 'scene', 'shape': shape})
   lit_scene = _lit_scene(shape) if shading == 'lit' else None
   rgba = np.zeros((len(cameras), image_size, image_size, 4), np.uint8)
@@ -89,7 +89,7 @@ def render(
   return RenderedViews(rgba, depth)
 
 
-def _to_mitsuba(mesh: TexturedMesh):
+def to_mitsuba(mesh: TexturedMesh):
   """The mesh's triangles, behind a dummy: a ray that meets nothing is said to meet face 0."""
   vertices, faces = mesh.vertices, np.concatenate([np.zeros((1, 3), np.int64), mesh.faces])
   white = {'type': 'twosided', 'bsdf': {'type': 'diffuse', 'reflectance': 1.0}}

@@ -222,18 +222,6 @@ def test_faces_without_area_are_left_out():
   assert_color(color_at(mesh, 0.3, 0.7), GREEN)
 
 
-def test_of_faces_in_the_same_place_one_stays_with_all_that_is_its_own():
-  """The second geometry is the first one turned over, with a texture."""
-  scene = trimesh.Scene([trimesh.Trimesh(QUAD, QUAD_FACES, face_colors=[RED, RED], process=False)])
-  over = textured(image(FOUR))
-  over.faces = over.faces[:, ::-1]
-  scene.add_geometry(over)
-  mesh = from_trimesh(scene)
-  assert (mesh.texture == 0).all() and len(mesh.faces) == 2
-  assert len(mesh.corner_colors) == len(mesh.corner_uv) == 2
-  assert_color(color_at(mesh, 0.75, 0.75), GREEN)
-
-
 @pytest.mark.parametrize(
   ('vertices', 'faces', 'reason'),
   [
