@@ -23,6 +23,7 @@ from datagen.images import check_image
 from datagen.mesh import TexturedMesh, check
 from datagen.mtl import plain_mtl
 from datagen.obj import absolute_indices
+from datagen.polygons import cut_concave
 
 EXTENSIONS = ('.obj', '.glb', '.gltf', '.ply', '.dae', '.off', '.stl')
 GLTF = ('.glb', '.gltf')
@@ -77,7 +78,7 @@ def _load(content, extension, resolver):
   if extension == '.ply':  # trimesh would make paths of edges, with room for each possible vertex
     content = content.replace(b'\nelement edge ', b'\nelement unused_edge ', 1)
   if extension == '.obj':
-    content = absolute_indices(content)
+    content = cut_concave(absolute_indices(content))
   # process=False: merging vertices would also merge their colours.
   scene = trimesh.load_scene(
     io.BytesIO(content), file_type=extension[1:], resolver=resolver, process=False
