@@ -18,7 +18,7 @@ HIDDEN = 0.25  # a side that fewer rays meet than this share of its other side's
 _SIDES = np.concatenate([np.eye(3), -np.eye(3)])
 _CORNERS = np.array(list(itertools.product((-1, 1), repeat=3))) / np.sqrt(3)
 DIRECTIONS = np.concatenate([_SIDES, _CORNERS])  # from where rays come
-RESOLUTION = 160  # rays along either side of a square that holds the mesh
+RESOLUTION = 112  # rays along either side of a square that holds the mesh
 
 
 def without_coincident(mesh: TexturedMesh) -> TexturedMesh:
