@@ -61,8 +61,8 @@ def keep_listed(
     raise UserError(f'no list in {folder} names {models[0].id} or another of the models')
   absent = sum(map(len, lists.values())) - len(listed)
   note = (
-    f'{folder} lists {len(listed)} of the {len(models)} models, the others are left out;'
-    f' {absent} that it lists are not there'
+    f'{folder}: {len(listed)} models listed and there, {absent} listed but not there,'
+    f' {len(models) - len(listed)} there but not listed (left out)'
   )
   by_category = itertools.groupby(listed, key=lambda m: m.category)
   return [m for _, group in by_category for m in itertools.islice(group, limit)], note
