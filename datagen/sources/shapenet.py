@@ -133,7 +133,7 @@ def _archive(path: str) -> Files:
   return _opened(path)[1]
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=2)  # a worker goes from one category to the next
 def _opened(path: str) -> tuple[contextlib.ExitStack, Files]:
   """An archive that stays open: to read the table of its hundred thousand files takes seconds."""
   stack = contextlib.ExitStack()
