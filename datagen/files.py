@@ -7,8 +7,6 @@ or unpacks to, more than `MAX_FILE` bytes.
 
 import contextlib
 import functools
-import io
-import lzma
 import os
 import posixpath
 import re
@@ -21,7 +19,7 @@ from cvn.errors import UserError
 
 MAX_FILE = 1 << 29  # bytes: an OBJ file of some million faces
 MAX_MEMBERS = 1_000_000  # of an archive
-PIECE = 8192  # bytes read at a time of a member: bzip2 and LZMA unpack at once what they are given
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others make room for all they may unpack to
 
 
 class Files(NamedTuple):
@@ -112,17 +110,16 @@ def archive_files(path: str) -> Iterator[Files]:
       info = members.get(_inside(path, name))
       if info is None:
         raise FileNotFoundError(f'{path} has no file {name}')
-      _check_size(path, name, info.file_size)  # no more than this can be read, even if it is a lie
-      content = io.BytesIO()
+      _check_size(path, name, info.file_size)  # no more than this is unpacked, even if it is a lie
+      if info.compress_type not in METHODS:
+        raise UserError(f'{name} in {path} is packed by other means than deflate: pack it anew')
       try:
         with archive.open(info) as f:
-          while piece := f.read(PIECE):
-            content.write(piece)
-      except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError) as e:
+          return f.read(info.file_size)
+      except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as e:
         raise UserError(f'{name} in {path} is damaged: {e}') from e
-      except (NotImplementedError, RuntimeError) as e:  # a method of packing, or a password
+      except (NotImplementedError, RuntimeError) as e:  # it needs a password, or a newer zipfile
         raise UserError(f'{name} in {path} cannot be unpacked: {e}') from e
-      return content.getvalue()
 
     @functools.cache
     def by_lower_case():
