@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.dataset import Record
-from datagen.flow import FIDELITY, FlowStats
+from datagen.flow import FIDELITY, FlowStats, sampling_error
 
 FEW_VOXELS = 300  # a flat square of 17 voxels' side
 ONE_COLOR = 0.02  # mean distance to the mean colour; texture and shadow are beyond it
@@ -23,8 +23,8 @@ class Examined(NamedTuple):
 
   voxels: int
   visible: float  # share of (view, voxel) pairs that are visible
-  visible_error: float  # mean distance of visible voxels' colours to what their flow fetches
-  visible_faithful: float  # share of visible voxels for which that is below FIDELITY
+  visible_error: float  # mean `sampling_error` of visible voxels
+  visible_faithful: float  # share of visible voxels for which it is below FIDELITY
   error: float  # mean distance over all pairs
   color_spread: float  # mean distance of the voxels' colours to their mean
   uprightness: float  # height over the longer of width and depth
@@ -105,9 +105,10 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
 
 def _errors(record):
   """[V, S] distances of the voxels' colours to what their flows fetch."""
-  height, width = record.views.shape[1:3]
-  size = np.array([width, height])
-  column, row = np.moveaxis(np.minimum((record.flow * size).astype(int), size - 1), -1, 0)
-  view = np.arange(len(record.views))[:, None]
-  sampled = record.views[view, row, column, :3].astype(np.float32)
-  return np.linalg.norm(sampled - record.surface_color.astype(np.float32), axis=-1) / 255
+  size = np.array(record.views.shape[2:0:-1])
+  return np.stack(
+    [
+      sampling_error(view, flow * size, record.surface_color)
+      for view, flow in zip(record.views, record.flow, strict=True)
+    ]
+  )

@@ -1,17 +1,22 @@
 """Target appearance flows: where each view shows the colour of each surface voxel (section 3.3).
 
-A voxel is visible in a view when its centre lies within `tolerance` voxels, along the viewing axis,
-of the surface that the view shows where the centre projects; its flow is that projection. The shell
-of voxels sticks out a little over the outline of the surface in it: a centre that projects past the
-outline, or past an edge in front of something far behind, is visible when one of the eight
-neighbouring pixels shows a surface within the tolerance, and its flow is the nearest such pixel's
-centre. What something else hides is never visible.
+A voxel stands for the surface's point nearest to its centre. It is visible in a view when that
+point lies within `tolerance` voxels, along the viewing axis, of the surface that the view shows in
+the pixel the point projects to; its flow is that projection. A voxel's colour is a mean over its
+surface, and the pixel there may show something else: then the flow is the centre of the closest of
+the pixels around it, of the 3 x 3 that a voxel covers about, that shows a similar colour and a
+surface within the tolerance. When none does, the projection stands.
 
 An occluded voxel takes, among the foreground pixels of similar colour, the one closest to its
-projection; similar means within `similarity`, as Euclidean distance of RGB in [0, 1]. When the view
-has no similar pixel, it takes the most similar one, and of several the closest.
+projection. When the view has no similar pixel, it takes the most similar one, and of several the
+closest.
+
+Similar means within `similarity`, as Euclidean distance of RGB in [0, 1]. A flow is right when
+sampling fetches a similar colour both ways: from the nearest pixel and bilinearly, whatever the
+background that is mixed in at an outline.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,16 +24,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cvn.camera import Camera, project
-from cvn.grid import GRID_SIZE, index_to_world
+from cvn.grid import GRID_SIZE
 
-# Voxels. A centre is within 0.87 of some surface point of its voxel; a plate two voxels thick or
-# more keeps its two faces apart.
+# Voxels. Half a pixel's step on a surface 60 degrees aslant; a plate thicker than that keeps its
+# two faces apart.
 TOLERANCE = 1.0
 SIMILARITY = 0.1
 FIDELITY = 0.1  # of the statistics: a sampled colour this close to the voxel's is the right one
 
-_NEIGHBOURS = 32  # pixels tried first for an occluded voxel
-_CHUNK = 256  # voxels compared with all pixels at once
+_AROUND = np.array(list(itertools.product((-1, 0, 1), repeat=2)))  # the 3 x 3 pixels
+_NEIGHBOURS = (4, 32)  # pixels tried first for an occluded voxel
+_CHUNK = 64  # voxels compared with many pixels at once
+_TOO_FAR = np.float32(1e9)  # squared pixels, more than any image has
 
 
 class FlowStats(NamedTuple):
@@ -37,9 +44,9 @@ class FlowStats(NamedTuple):
   visible: float  # share of (view, voxel) pairs that are visible
   matched: float  # share that are occluded and found a pixel of similar colour
   fallback: float  # share that are occluded and found none
-  visible_error: float  # mean RGB distance of visible voxels to the pixel they land on
-  visible_faithful: float  # share of visible voxels for which that distance is below FIDELITY
-  error: float  # mean RGB distance over all pairs
+  visible_error: float  # mean `sampling_error` of visible voxels
+  visible_faithful: float  # share of visible voxels for which it is below FIDELITY
+  error: float  # mean over all pairs
 
 
 class TargetFlows(NamedTuple):
@@ -51,7 +58,7 @@ class TargetFlows(NamedTuple):
 
 
 def target_flows(
-  index: np.ndarray,
+  point: np.ndarray,
   color: np.ndarray,
   rgba: np.ndarray,
   depth: np.ndarray,
@@ -64,8 +71,8 @@ def target_flows(
   """Finds the target flow of every surface voxel in every view.
 
   Args:
-    index: [S, 3] the voxels.
-    color: [S, 3] u8 their colours.
+    point: [S, 3] the surface's points that stand for the voxels, world coordinates.
+    color: [S, 3] u8 the voxels' colours.
     rgba: [V, H, W, 4] u8 the views.
     depth: [V, H, W] along the viewing axis, world units; inf where alpha is 0.
     cameras: one a view.
@@ -81,33 +88,32 @@ def target_flows(
   """
   if not rgba.shape[:3] == depth.shape == (len(cameras), *depth.shape[1:]):
     raise ValueError(f'views {rgba.shape}, depth {depth.shape}, {len(cameras)} cameras')
-  if not index.shape == color.shape == (len(index), 3):
-    raise ValueError(f'voxels {index.shape}, colours {color.shape}')
-  points = index_to_world(index.astype(np.float64), size=grid_size)
+  if not point.shape == color.shape == (len(point), 3):
+    raise ValueError(f'points {point.shape}, colours {color.shape}')
   size = np.array(depth.shape[:0:-1])
-  flow = np.empty((len(cameras), len(index), 2), np.float32)
-  visible = np.empty((len(cameras), len(index)), bool)
-  error = np.empty((len(cameras), len(index)))
+  color = color.astype(np.float64)
+  flow = np.empty((len(cameras), len(point), 2), np.float32)
+  visible = np.empty((len(cameras), len(point)), bool)
+  error = np.empty((len(cameras), len(point)))
   fallbacks = 0
   for v, camera in enumerate(cameras):
-    foreground = np.isfinite(depth[v])
-    if not foreground.any():
+    if not np.isfinite(depth[v]).any():
       raise ValueError(f'view {v} is empty')
-    pixel, distance = project(points, camera)
-    pixel, visible[v] = _visible(pixel, distance, depth[v], tolerance / grid_size)
-    hidden = ~visible[v]
-    row, column = np.nonzero(foreground)
-    centers = np.stack([column, row], -1) + 0.5
-    seen = rgba[v, row, column, :3]
-    chosen, fell_back = _closest_similar(
-      pixel[hidden], color[hidden], centers, seen, similarity * 255
+    pixel, distance = project(point, camera)
+    near = _shows(depth[v], np.floor(pixel).astype(int), distance, tolerance / grid_size)
+    pixel[near] = _corrected(
+      pixel[near], distance[near], color[near], rgba[v], depth[v], tolerance / grid_size, similarity
     )
-    pixel[hidden] = centers[chosen]
+    row, column = np.nonzero(np.isfinite(depth[v]))
+    centers = np.stack([column, row], -1) + 0.5
+    seen = rgba[v, row, column, :3].astype(np.float64)
+    chosen, fell_back = _closest_similar(
+      pixel[~near], color[~near], centers, seen, similarity * 255
+    )
+    pixel[~near] = centers[chosen]
     fallbacks += fell_back.sum()
-    flow[v] = pixel / size
-    column, row = np.minimum(pixel.astype(int), size - 1).T
-    sampled = rgba[v, row, column, :3].astype(np.float64)
-    error[v] = np.linalg.norm(sampled - color, axis=-1) / 255
+    flow[v], visible[v] = pixel / size, near
+    error[v] = sampling_error(rgba[v], pixel, color)
   seen_error = error[visible] if visible.any() else np.zeros(1)
   fallback, share = fallbacks / visible.size, visible.mean()
   stats = FlowStats(
@@ -121,42 +127,81 @@ def target_flows(
   return TargetFlows(flow, visible, stats)
 
 
-def _visible(pixel, distance, depth, tolerance):
-  """The visibility rule in one view.
+def sampling_error(rgba: np.ndarray, pixel: np.ndarray, color: np.ndarray) -> np.ndarray:
+  """How far the colours that sampling a view fetches are from the right ones, at worst.
+
+  The larger distance of two: of the nearest pixel's colour and of the bilinear sample, which
+  cvn/sampler.py defines, over the background that is the farthest from the right colour.
 
   Args:
-    pixel: [S, 2] projections of the voxels' centres.
-    distance: [S] their depths.
+    rgba: [H, W, 4] u8 the view.
+    pixel: [S, 2] where it is sampled, continuous pixel coordinates.
+    color: [S, 3] the right colours, of 255.
+
+  Returns:
+    [S] Euclidean distances of RGB in [0, 1].
+  """
+  last = np.array(rgba.shape[1::-1]) - 1
+  background = np.where(color < 127.5, 255.0, 0.0)
+
+  def distance(column, row):
+    texel = rgba[row, column]
+    return np.where(texel[:, 3:] > 0, texel[:, :3], background) - color
+
+  low = np.floor(pixel - 0.5)
+  weight = pixel - 0.5 - low
+  bilinear = 0
+  for step in itertools.product((0, 1), repeat=2):
+    share = np.abs(1 - np.array(step) - weight).prod(-1, keepdims=True)
+    bilinear = bilinear + share * distance(*np.clip(low.astype(int) + step, 0, last).T)
+  nearest = distance(*np.clip(np.floor(pixel).astype(int), 0, last).T)
+  return np.sqrt(np.maximum(_squared(bilinear), _squared(nearest))) / 255
+
+
+def _shows(depth, at, distance, tolerance):
+  """Whether pixels of a view show a surface at given depths.
+
+  Args:
     depth: [H, W], inf where empty.
+    at: [..., 2] pixels (column, row), in the image or not.
+    distance: [...] depths.
     tolerance: world units.
 
   Returns:
-    pixel: [S, 2] where the voxels are seen, moved onto the surface where they stick out.
-    visible: [S] bool.
+    [...] bool.
   """
-  height, width = depth.shape
-  column, row = np.floor(pixel).astype(int).T
-  # A frame of pixels that hide everything: no voxel out of the image is visible.
-  framed = np.pad(depth, 2, constant_values=-np.inf)
-  column, row = np.clip(column, -1, width) + 2, np.clip(row, -1, height) + 2
-  here = framed[row, column]
-  visible = np.abs(here - distance) <= tolerance
+  inside = ((at >= 0) & (at < depth.shape[::-1])).all(-1)
+  column, row = np.moveaxis(np.where(inside[..., None], at, 0), -1, 0)
+  return inside & (np.abs(depth[row, column] - distance) <= tolerance)
 
-  out = np.flatnonzero(here > distance + tolerance)  # past an outline
-  best = np.full(len(out), np.inf)
-  moved = pixel[out]
-  for down in (-1, 0, 1):
-    for right in (-1, 0, 1):
-      r, c = row[out] + down, column[out] + right
-      center = np.stack([c - 2, r - 2], -1) + 0.5
-      far = np.square(center - pixel[out]).sum(-1)
-      better = (np.abs(framed[r, c] - distance[out]) <= tolerance) & (far < best)
-      best[better], moved[better] = far[better], center[better]
-  snapped = np.isfinite(best)
-  pixel = pixel.copy()
-  pixel[out[snapped]] = moved[snapped]
-  visible[out[snapped]] = True
-  return pixel, visible
+
+def _corrected(pixel, distance, color, rgba, depth, tolerance, similarity):
+  """Moves flows of visible voxels in one view to the right pixels, where theirs are not.
+
+  Args:
+    pixel: [N, 2] projections.
+    distance: [N] depths.
+    color: [N, 3] voxels' colours, of 255.
+    rgba: [H, W, 4] u8 the view.
+    depth: [H, W] its depth.
+    tolerance: world units.
+    similarity: in RGB.
+
+  Returns:
+    [N, 2].
+  """
+  wrong = np.flatnonzero(sampling_error(rgba, pixel, color) > similarity)
+  around = np.floor(pixel[wrong, None]).astype(int) + _AROUND
+  column, row = np.moveaxis(np.clip(around, 0, np.array(depth.shape[::-1]) - 1), -1, 0)
+  difference = rgba[row, column, :3] - color[wrong, None]
+  good = _squared(difference) <= (255 * similarity) ** 2
+  good &= _shows(depth, around, distance[wrong, None], tolerance)
+  far = np.where(good, _squared(around + 0.5 - pixel[wrong, None]), np.inf)
+  best = far.argmin(1)
+  found = np.isfinite(far[np.arange(len(wrong)), best])
+  moved = pixel.copy()
+  moved[wrong[found]] = around[found, best[found]] + 0.5
+  return moved
 
 
 def _closest_similar(pixel, color, centers, seen, similarity):
@@ -164,39 +209,71 @@ def _closest_similar(pixel, color, centers, seen, similarity):
 
   Args:
     pixel: [N, 2] projections.
-    color: [N, 3] u8 voxels' colours.
+    color: [N, 3] voxels' colours, of 255.
     centers: [P, 2] the foreground pixels' centres.
-    seen: [P, 3] u8 their colours.
+    seen: [P, 3] their colours.
     similarity: largest distance of similar colours, of 255.
 
   Returns:
     chosen: [N] index of the pixel taken.
     fallback: [N] bool, no pixel is similar.
   """
-  color, seen = color.astype(np.float64), seen.astype(np.float64)
-  neighbours = min(_NEIGHBOURS, len(centers))
-  _, near = cKDTree(centers).query(pixel, k=np.arange(1, neighbours + 1))
-  similar = np.linalg.norm(seen[near] - color[:, None], axis=-1) <= similarity
-  chosen = np.take_along_axis(near, similar.argmax(1)[:, None], 1)[:, 0]
-  fallback = np.zeros(len(pixel), bool)
-  # The others are compared with all pixels, by matrix products: squared distances of 8-bit colours
-  # are whole numbers that float32 holds exactly, and of positions only the order counts.
-  middle = centers.mean(0)
-  place, there = (pixel - middle).astype(np.float32), (centers - middle).astype(np.float32)
-  rest = np.flatnonzero(~similar.any(1))
-  for at in np.split(rest, range(_CHUNK, len(rest), _CHUNK)):
-    difference = _squared_distances(color[at].astype(np.float32), seen.astype(np.float32))
-    least = difference.min(1, keepdims=True)
-    fallback[at] = least[:, 0] > similarity**2
-    candidate = difference <= np.maximum(least, np.float32(similarity**2))
-    far = _squared_distances(place[at], there)
-    chosen[at] = np.where(candidate, far, np.inf).argmin(1)
+  chosen = np.full(len(pixel), -1)
+  tree, rest = cKDTree(centers), np.arange(len(pixel))
+  for count in _NEIGHBOURS:  # most voxels find a similar pixel soon
+    _, near = tree.query(pixel[rest], k=np.arange(1, min(count, len(centers)) + 1))
+    similar = _squared(seen[near] - color[rest, None]) <= similarity**2
+    found = similar.any(1)
+    chosen[rest[found]] = near[found, similar[found].argmax(1)]
+    rest = rest[~found]
+  limit = np.full(len(rest), similarity**2)
+  chosen[rest] = _closest_within(pixel[rest], color[rest], centers, seen, limit)
+  fallback = chosen < 0
+  if fallback.any():
+    pixel, color = pixel[fallback], color[fallback]
+    least, _ = cKDTree(np.unique(seen, axis=0)).query(color)
+    limit = np.rint(np.square(least))  # colours are whole numbers
+    chosen[fallback] = _closest_within(pixel, color, centers, seen, limit)
   return chosen, fallback
 
 
-def _squared_distances(a, b):
-  """[N, D], [P, D] -> [N, P]."""
-  square_a, square_b = (np.square(x).sum(1, keepdims=True) for x in (a, b))
-  left = np.concatenate([a, square_a, np.ones_like(square_a)], 1)
+def _closest_within(pixel, color, centers, seen, limit):
+  """The closest pixel [N] whose squared distance in colour is at most `limit` [N]; -1 for none.
+
+  Voxels of like colours are handled together, and compared only with pixels whose colour is near.
+  """
+  chosen, limit = np.full(len(pixel), -1), np.floor(limit)  # squared distances are whole numbers
+  order = _by_color(color)
+  for at in np.split(order, range(_CHUNK, len(order), _CHUNK)) if len(order) else ():
+    middle = (color[at].min(0) + color[at].max(0)) / 2
+    reach = np.sqrt(_squared(color[at] - middle).max()) + np.sqrt(limit[at].max())
+    near = np.flatnonzero(_squared(seen - middle) <= reach**2 + 1)
+    if len(near):
+      # float32 holds such distances of colours exactly, and of positions only the order counts.
+      excess = _squared_distances(color[at], seen[near], less=limit[at])
+      cost = _squared_distances(pixel[at] - pixel[at[0]], centers[near] - pixel[at[0]])
+      cost += np.multiply(np.maximum(excess, 0, out=excess), _TOO_FAR, out=excess)
+      best = cost.argmin(1)
+      chosen[at] = np.where(cost[np.arange(len(at)), best] < _TOO_FAR, near[best], -1)
+  return chosen
+
+
+def _by_color(color):
+  """An order [N] of colours [N, 3], of 255, in which neighbours are alike (Morton's)."""
+  bits = np.unpackbits(color.astype(np.uint8)[..., None], axis=-1)  # [N, 3, 8]
+  code = np.packbits(bits.transpose(0, 2, 1).reshape(len(color), 24), axis=-1)
+  return np.lexsort(code.T[::-1])
+
+
+def _squared(x):
+  """[..., C] -> [...]."""
+  return np.einsum('...c,...c->...', x, x)
+
+
+def _squared_distances(a, b, less=0):
+  """Squared distances of a [N, D] to b [P, D], less a number or [N]: [N, P] float32."""
+  a, b = a.astype(np.float32), b.astype(np.float32)
+  square_a, square_b = (_squared(a) - less)[:, None], _squared(b)[:, None]
+  left = np.concatenate([a, square_a, np.ones_like(square_a)], 1, dtype=np.float32)
   right = np.concatenate([-2 * b, np.ones_like(square_b), square_b], 1)
   return left @ right.T

@@ -87,10 +87,10 @@ def make_record(
   for azimuth, depth in zip(s.azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
       raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
-  index, color = voxelize(mesh, s.grid_size)
+  voxels = voxelize(mesh, s.grid_size)
   flow, visible, stats = target_flows(
-    index,
-    color,
+    voxels.point,
+    voxels.color,
     flat,
     depths,
     cameras,
@@ -101,7 +101,7 @@ def make_record(
   # Flows are matched by albedo under any light: light has no part in which point is which.
   lit = s.shading != 'flat'
   views = render(mesh, cameras, image_size=s.image_size, shading=s.shading).rgba if lit else flat
-  return Record(views, index, color, visible, flow, facts_of(mesh)), stats
+  return Record(views, voxels.index, voxels.color, visible, flow, facts_of(mesh)), stats
 
 
 def run_job(job: Job) -> Outcome:

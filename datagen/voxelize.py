@@ -37,6 +37,14 @@ SLIVER = 1e-3  # voxels; a face that is less high is no more than its edges
 EPSILON = 1e-9  # rounding, in voxels
 
 
+class SurfaceVoxels(NamedTuple):
+  """The S occupied voxels of a mesh, sorted, the last axis fastest."""
+
+  index: np.ndarray  # [S, 3] uint8
+  color: np.ndarray  # [S, 3] uint8 sRGB
+  point: np.ndarray  # [S, 3] float64, world: the surface's point that is nearest to the centre
+
+
 class _Claims(NamedTuple):
   """The nearest point of the surface to each voxel's centre, of those that occupy it."""
 
@@ -45,7 +53,7 @@ class _Claims(NamedTuple):
   barycentric: np.ndarray  # [size^3, 3] float64
 
 
-def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> tuple[np.ndarray, np.ndarray]:
+def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> SurfaceVoxels:
   """The surface shell of a mesh and its albedo.
 
   A voxel's colour is the mean albedo over the surface inside the voxel; where that is too little
@@ -56,8 +64,7 @@ def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> tuple[np.ndarray, np.
     size: voxels along a side of the grid, at most 255.
 
   Returns:
-    index: [S, 3] uint8, sorted, the last axis fastest.
-    color: [S, 3] uint8 sRGB.
+    The voxels.
 
   Raises:
     ValueError: a size that bytes cannot index.
@@ -82,7 +89,12 @@ def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> tuple[np.ndarray, np.
   at = voxel[bare]
   color[bare] = albedo(mesh, claims.face[at], claims.barycentric[at])[:, :3]
   index = np.stack(np.unravel_index(voxel, (size,) * 3), -1)
-  return index.astype(np.uint8), np.rint(255 * np.clip(color, 0, 1)).astype(np.uint8)
+  triangle = mesh.vertices[mesh.faces[claims.face[voxel]]]
+  return SurfaceVoxels(
+    index.astype(np.uint8),
+    np.rint(255 * np.clip(color, 0, 1)).astype(np.uint8),
+    np.einsum('nk,nkc->nc', claims.barycentric[voxel], triangle),
+  )
 
 
 def _claim_near_faces(claims, mesh, corners, size):

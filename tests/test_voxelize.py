@@ -28,7 +28,7 @@ def turned(mesh, seed):
 
 
 def occupied(mesh, size=GRID_SIZE):
-  index, _ = voxelize(mesh if isinstance(mesh, TexturedMesh) else from_trimesh(mesh), size)
+  index, *_ = voxelize(mesh if isinstance(mesh, TexturedMesh) else from_trimesh(mesh), size)
   grid = np.zeros((size,) * 3, bool)
   grid[tuple(index.T)] = True
   return grid
@@ -129,11 +129,24 @@ def test_thin_rod_does_not_vanish(thickness, seed):
 
 
 def test_index_is_sorted_and_unique_and_small():
-  index, color = voxelize(from_trimesh(trimesh.creation.icosphere(radius=0.4)), 32)
+  index, color, _ = voxelize(from_trimesh(trimesh.creation.icosphere(radius=0.4)), 32)
   assert index.dtype == color.dtype == np.uint8
   assert index.shape == color.shape and index.max() < 32
   flat = index.astype(int) @ [32 * 32, 32, 1]
   assert (np.diff(flat) > 0).all()
+
+
+def test_points_are_the_nearest_of_the_surface():
+  half = np.array([0.31, 0.17, 0.08])
+  box, rotation, shift = turned(trimesh.creation.box(2 * half), 0)
+  voxels = voxelize(from_trimesh(box))
+  center = index_to_world(voxels.index.astype(float))
+  np.testing.assert_allclose(box_distance((voxels.point - shift) @ rotation, half), 0, atol=1e-9)
+  far = np.linalg.norm(voxels.point - center, axis=-1) * GRID_SIZE
+  least = np.abs(box_distance((center - shift) @ rotation, half)) * GRID_SIZE
+  assert far.max() <= FAR + SLACK
+  # Next to an edge it may be the edge's point, by which alone the voxel is occupied.
+  assert (far - least < SLACK).mean() > 0.98
 
 
 def test_subdividing_faces_changes_colors_little():
@@ -143,7 +156,7 @@ def test_subdividing_faces_changes_colors_little():
   pairs = []
   for box in (coarse, fine):
     box.visual.vertex_colors = np.column_stack([box.vertices + 0.5, np.ones(len(box.vertices))])
-    index, color = voxelize(from_trimesh(box))
+    index, color, _ = voxelize(from_trimesh(box))
     pairs.append({tuple(i): c.astype(int) for i, c in zip(index, color, strict=True)})
   shared = pairs[0].keys() & pairs[1].keys()
   assert len(shared) > 0.95 * len(pairs[0])
@@ -154,7 +167,7 @@ def test_faces_of_a_box_have_their_colors():
   box = trimesh.creation.box((0.9, 0.9, 0.9))
   palette = {k: [200 * (k[0] + 1) // 2, 90 * (k[1] + 1), 120 * (k[2] + 1), 255] for k in SIDES}
   box.visual.face_colors = [palette[tuple(np.rint(n).astype(int))] for n in box.face_normals]
-  index, color = voxelize(from_trimesh(box))
+  index, color, _ = voxelize(from_trimesh(box))
   position = index_to_world(index.astype(float))
   for side, expected in palette.items():
     axis = np.flatnonzero(side)[0]
@@ -190,7 +203,7 @@ def opaque(rgb):
 
 def test_fine_checkerboard_averages_to_grey():
   board = 255 * (np.indices((8, 8)).sum(0) % 2)
-  index, color = voxelize(quad(opaque(np.repeat(board[..., None], 3, -1)), tiles=64))
+  index, color, _ = voxelize(quad(opaque(np.repeat(board[..., None], 3, -1)), tiles=64))
   inner = (np.abs(index_to_world(index.astype(float))[:, :2]) < 0.43).all(-1)
   values = color[inner].astype(float)
   assert abs(values.mean() - 127.5) < 1
@@ -201,7 +214,7 @@ def test_coarse_checkerboard_keeps_its_squares_and_repeats():
   """Two by two tiles, 2 x 2 texels each: squares of an eighth and more of the side."""
   board = np.zeros((32, 32, 3))
   board[:16, :16] = board[16:, 16:] = [250, 10, 30]
-  index, color = voxelize(quad(opaque(board), tiles=2))
+  index, color, _ = voxelize(quad(opaque(board), tiles=2))
   u, v = ((index_to_world(index.astype(float))[:, :2] + 0.45) / 0.9 * 2).T
   clear = (np.abs(u * 2 - np.rint(u * 2)) > 0.15) & (np.abs(v * 2 - np.rint(v * 2)) > 0.15)
   # Row 0 is the top, v = 1: red is where u is in the left half and v in the upper, or neither.
@@ -214,7 +227,7 @@ def test_cut_out_is_no_surface_and_glass_is():
   image = opaque(np.full((32, 32, 3), 90))
   image[:, 8:24, 3] = 0
   mesh = quad(image)
-  index, _ = voxelize(mesh)
+  index, *_ = voxelize(mesh)
   x = np.abs(index_to_world(index.astype(float))[:, 0])
   assert x.min() > 0.2 and x.max() > 0.43  # the hole is 0.45 wide
   glass = mesh._replace(corner_colors=mesh.corner_colors * np.float32([1, 1, 1, 0.2]))
@@ -229,7 +242,7 @@ def test_every_voxel_has_a_color_of_the_surface(seed):
   mesh = quad(image, half=0.3)
   rotation = Rotation.random(random_state=seed).as_matrix()
   mesh = mesh._replace(vertices=mesh.vertices @ rotation.T)
-  index, color = voxelize(mesh)
+  index, color, _ = voxelize(mesh)
   x = (index_to_world(index.astype(float)) @ rotation)[:, 0]
   # Voxels at the colours' border, and at the image's two ends, which blend as it repeats.
   clear = (np.abs(x) > 0.02) & (np.abs(x) < 0.28)
@@ -249,9 +262,9 @@ def test_chunks_do_not_change_the_result(monkeypatch):
   knot = trimesh.creation.torus(0.3, 0.1)
   knot.visual.vertex_colors = np.column_stack([knot.vertices + 0.5, np.ones(len(knot.vertices))])
   mesh = from_trimesh(knot)
-  index, color = voxelize(mesh)
+  index, color, _ = voxelize(mesh)
   monkeypatch.setattr('datagen.voxelize.CHUNK', 1000)
-  other_index, other_color = voxelize(mesh)
+  other_index, other_color, _ = voxelize(mesh)
   np.testing.assert_array_equal(index, other_index)
   assert np.abs(color.astype(int) - other_color).max() <= 3
 
