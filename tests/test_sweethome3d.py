@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cvn.errors import UserError
+from datagen import plan
 from datagen.mesh import albedo
 from datagen.sources import SourceModel, sweethome3d
 from datagen.sources.furniture_catalogue import Piece
@@ -92,6 +93,19 @@ def test_a_model_says_whose_it_is_and_under_which_licence(tmp_path):
   assert (second.id, second.creator) == ('Lib_Old_chair', 'José Müller')
   assert second.licence == 'CC-BY 3.0 © José'
   assert first.path == path and pickle.loads(pickle.dumps(second)) == second
+
+
+def test_the_data_set_says_so_too(shop):
+  """Several categories at once, one of them with a pattern."""
+  found = plan.list_models('sweethome3d', ['guitar', 'sofa=sofa|couch'], shop, None, 0)
+  models = plan.plan(found, 'sweethome3d', input_dir=shop)
+  assert [(m.id, m.category) for m in models] == [
+    ('Lib_Electric_guitar', 'guitar'),
+    ('Lib_Sofa', 'sofa'),
+    ('Lib_Couch', 'sofa'),
+  ]
+  assert {(m.path, m.creator, m.licence) for m in models} == {('shop.sh3f', 'Ann', 'CC0')}
+  assert [m.split for m in models] == [m.split for m in found]
 
 
 def test_a_folder_of_libraries_has_unique_and_stable_ids(tmp_path):
