@@ -69,12 +69,13 @@ def render(
   lit_scene = _lit_scene(shape) if shading == 'lit' else None
   rgba = np.zeros((len(cameras), image_size, image_size, 4), np.uint8)
   depth = np.full((len(cameras), image_size, image_size), np.inf, np.float32)
+  used = mesh.vertices[np.unique(mesh.faces)]
   for view, camera in enumerate(cameras):
-    row, column, face, weight = _trace(mesh, scene, camera, image_size)
-    point = np.einsum('nk,nkc->nc', weight, mesh.vertices[mesh.faces[face]])
+    row, column, face, weight = _trace(mesh, scene, camera, image_size, used)
     central = (row % SAMPLES == SAMPLES // 2) & (column % SAMPLES == SAMPLES // 2)
     row, column = row // SAMPLES, column // SAMPLES
-    depth[view, row[central], column[central]] = project(point[central], camera)[1]
+    point = _points(mesh, face[central], weight[central])
+    depth[view, row[central], column[central]] = project(point, camera)[1]
 
     pixel = row * image_size + column
     count = np.bincount(pixel, minlength=image_size**2)
@@ -141,15 +142,22 @@ def _sensor(camera: Camera, image_size: int, samples: int, sampler: dict, crop: 
   )
 
 
-def _trace(mesh, scene, camera, image_size):
+def _trace(mesh, scene, camera, image_size, used):
   """What the rays of one view meet.
+
+  Args:
+    mesh: the mesh.
+    scene: it alone.
+    camera: of the view.
+    image_size: its height and width in pixels.
+    used: [U, 3] the mesh's vertices that faces use.
 
   Returns:
     row, column [N] of the N rays that meet the mesh, in steps of 1 / SAMPLES of a pixel; face [N];
     barycentric weights [N, 3].
   """
   size = image_size * SAMPLES
-  corners = project(mesh.vertices[np.unique(mesh.faces)], camera)[0] * SAMPLES
+  corners = project(used, camera)[0] * SAMPLES
   left, top = np.clip(np.floor(corners.min(0)), 0, size - 1).astype(int).tolist()
   right, bottom = np.clip(np.ceil(corners.max(0)), [left + 1, top + 1], size).astype(int).tolist()
   centers = {'type': 'stratified', 'sample_count': 1, 'jitter': False}
@@ -160,8 +168,8 @@ def _trace(mesh, scene, camera, image_size):
   face = np.round(number[row, column]).astype(np.int64) - 1  # the dummy is no face
   row, column = row + top, column + left
 
-  pixel = (np.stack([column, row], -1) + 0.5) / SAMPLES
-  direction = np.linalg.solve(camera.K, np.insert(pixel, 2, 1.0, axis=1).T).T @ camera.R
+  pixel = np.stack([column + 0.5, row + 0.5, np.full(len(row), float(SAMPLES))], -1) / SAMPLES
+  direction = pixel @ (np.linalg.inv(camera.K).T @ camera.R)
   origin = -camera.R.T @ camera.T
   weight = _barycentric(mesh, face, origin, direction)
   face, weight = _look_through(mesh, scene, origin, direction, face, weight)
@@ -170,17 +178,25 @@ def _trace(mesh, scene, camera, image_size):
 
 
 def _barycentric(mesh, face, origin, direction):
-  """Where rays meet the faces they are known to meet (Möller and Trumbore 1997): [N, 3]."""
-  a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
-  p = np.cross(direction, c - a)
-  q = np.cross(origin - a, b - a)
-  det = np.einsum('nc,nc->n', b - a, p)
-  det = np.where(det == 0, np.inf, det)  # a ray within the plane takes the corner a
-  u = np.einsum('nc,nc->n', origin - a, p) / det
-  v = np.einsum('nc,nc->n', direction, q) / det
+  """Where rays from one point meet the planes of the faces they are known to meet: [N, 3].
+
+  A corner's weight is the volume that the ray spans with the other two corners, seen from the
+  origin, as a share of the sum of all three.
+  """
+  met, of_ray = np.unique(face, return_inverse=True)
+  a, b, c = np.moveaxis(mesh.vertices[mesh.faces[met]] - origin, 1, 0)
+  opposite = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 1)
+  volume = np.einsum('nkc,nc->nk', opposite[of_ray], direction)
+  volume *= np.sign(volume.sum(-1, keepdims=True))
   # Mitsuba intersects in float32: a hair outside is on the edge.
-  weight = np.clip(np.stack([1 - u - v, u, v], -1), 0, 1)
-  return weight / weight.sum(-1, keepdims=True)
+  weight = np.maximum(volume, 0)
+  total = weight.sum(-1, keepdims=True)
+  return np.where(total > 0, weight / np.where(total > 0, total, 1), [1, 0, 0])
+
+
+def _points(mesh, face, weight):
+  """World coordinates [N, 3] of points of faces."""
+  return np.einsum('nk,nkc->nc', weight, mesh.vertices[mesh.faces[face]])
 
 
 def _look_through(mesh, scene, origin, direction, face, weight):
@@ -190,8 +206,9 @@ def _look_through(mesh, scene, origin, direction, face, weight):
     at = at[~is_surface(mesh, face[at], weight[at])]
     if not len(at):
       break
-    point = np.einsum('nk,nkc->nc', weight[at], mesh.vertices[mesh.faces[face[at]]])
-    start = point + 1e-4 * direction[at]  # in world units: far less than a voxel
+    start = (
+      _points(mesh, face[at], weight[at]) + 1e-4 * direction[at]
+    )  # in world units: far less than a voxel
     hits = [
       scene.ray_intersect_preliminary(mi.Ray3f(o, d))
       for o, d in zip(start.tolist(), direction[at].tolist(), strict=True)
