@@ -8,7 +8,7 @@ import pytest
 from cvn.errors import UserError
 from datagen.mesh import albedo, check, normalize
 from datagen.sources import procedural
-from datagen.sources.shapes import heads, materials, parts, poses, solids
+from datagen.sources.shapes import car, heads, livery, materials, outlines, parts, poses, solids
 
 SAMPLES = 6000
 CELLS = 16
@@ -37,14 +37,14 @@ def _signed_volume(solid):
 
 @pytest.fixture(scope='module')
 def surfaces():
-  return {c: [_surface(m) for m in _meshes(c, 40)] for c in procedural.CATEGORIES}
+  return {c: [_surface(m) for m in _meshes(c, 16)] for c in procedural.CATEGORIES}
 
 
 @pytest.mark.parametrize('category', procedural.CATEGORIES)
 def test_meshes_are_sound(category):
-  for mesh in _meshes(category, 25):
+  for mesh in _meshes(category, 8):
     check(mesh)
-    assert len(mesh.faces) < 8000
+    assert len(mesh.faces) < 20_000
     assert np.isfinite(mesh.corner_uv).all()
     assert mesh.corner_colors.min() >= 0 and mesh.corner_colors.max() <= 1
     assert mesh.texture.min() >= -1 and mesh.texture.max() < len(mesh.textures)
@@ -78,7 +78,7 @@ def test_ids_and_seeds_are_unique():
 
 
 def test_all_are_different(surfaces):
-  """No two of 40 share their shape and colours: coarse coloured voxels lie far apart.
+  """No two of 16 share their shape and colours: coarse coloured voxels lie far apart.
 
   The distance is the share of cells, of those that either object occupies, in which one is empty
   or the colours differ by more than a fifth of the range. Two resamplings of one object give the
@@ -125,18 +125,27 @@ def test_cars_are_longest_from_nose_to_tail(surfaces):
     assert z > 1.5 * x and z > y
 
 
-def test_car_lamps_are_pale_in_front_and_red_behind(surfaces):
-  """The tail lamps: more of the reddest points lie at the rear than at the nose, over all cars."""
-  ends = []
-  for points, color in surfaces['car']:
-    lamp = np.abs(color - [0.75, 0.1, 0.1]).max(1) < 0.02
-    ends.append((points[lamp, 2] < 0).sum() > (points[lamp, 2] > 0).sum())
-  assert np.mean(ends) > 0.9
+def test_car_lamps_are_pale_in_front_and_red_behind():
+  """The ends' pictures hold the lamps' colours, the tail lamps' redder than anything in front."""
+  for seed in range(5):
+    rng = np.random.default_rng(seed)
+    look = livery.choose(rng, materials.scheme(rng), 1.8)
+    form = car.FORMS['sedan']
+    hull, _ = car.body(form, 4.0, 4.0, 'sedan')
+    for part in livery.wear(rng, hull, form, look, [], [0.6, 0.7]):
+      corners = part.vertices[part.faces]
+      normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+      if np.abs(normal).sum(0).argmax() != 2:
+        continue
+      own, other = (look.marks.lamp, look.marks.tail_lamp)[:: np.sign(normal[0, 2]).astype(int)]
+      shown = part.material.picture[..., :3] / 255
+      near = [(np.abs(shown - c).max(-1) < 0.003).sum() for c in (own, other)]
+      assert near[0] > 100 and near[1] == 0, seed
 
 
 def test_tables_have_their_top_on_top():
   """Most of the area that looks up or down lies in the upper half."""
-  for mesh in _meshes('table', 40):
+  for mesh in _meshes('table', 16):
     mesh = normalize(mesh)
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     level = np.abs(np.cross(b - a, c - a)[:, 1])
@@ -166,12 +175,19 @@ def test_people_face_forward():
 
 
 def test_faces_look_forward():
+  """The lips are painted on the front of the skull, below its middle, and nowhere else."""
   rng = np.random.default_rng(2)
-  head = heads.head(rng, np.array([0.6, 0.4, 0.3]), materials.scheme(rng), size=1.0)
-  white = [p.vertices for p in head if np.allclose(p.material.color, [0.88, 0.88, 0.86])]
-  assert len(white) == 2
-  assert all(v[:, 2].min() > 0.05 for v in white)
-  assert white[0][:, 0].min() > 0 > white[1][:, 0].max()
+  skin = np.array([0.6, 0.4, 0.3])
+  parts_of_face = heads.face(rng, 0.08, 0.12, 0.1, skin)
+  painted = [p for p in parts_of_face if p.material.picture is not None]
+  assert len(painted) == 1
+  corners = painted[0].vertices[painted[0].faces]
+  assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+  lips = materials.close([skin, [0.66, 0.2, 0.22]], 0.5)[1]
+  row, column = np.nonzero(np.abs(painted[0].material.picture[..., :3] / 255 - lips).max(-1) < 0.01)
+  size = painted[0].material.picture.shape[0]
+  assert len(row) > 50 and row.min() > size / 2
+  assert abs(column.mean() + 0.5 - size / 2) < 2
 
 
 def test_bones_keep_their_lengths():
@@ -207,6 +223,8 @@ def test_solids_are_closed_and_face_outward():
     solids.lathe([(0.2, 0), (0.5, 0.3), (0.1, 1)]),
     solids.tube(solids.smooth(path), 0.1),
     solids.sheet(grid, 0.1),
+    solids.prism(outlines.body('double', 0.33, 0.42, cutaway=False), -0.02, 0.03),
+    solids.prism(outlines.body('classical', 0.38, 0.5, cutaway=True), -0.02, 0.03),
   ):
     order = rng.permutation(len(solid.faces))
     edges = np.concatenate([solid.faces[order][:, [i, (i + 1) % 3]] for i in range(3)])

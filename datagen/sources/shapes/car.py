@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.sources.shapes import livery, solids
+from datagen.sources.shapes import extras, livery, solids
 from datagen.sources.shapes import materials as mt
 from datagen.sources.shapes.parts import Part, facing, mirror, paint
 
@@ -49,12 +49,17 @@ def build(rng: np.random.Generator) -> list[Part]:
   kind = str(rng.choice(list(FORMS), p=WEIGHTS))
   form = vary(rng, FORMS[kind])
   colors = mt.scheme(rng)
-  look = livery.choose(rng, colors)
+  look = livery.choose(rng, colors, form.width)
   power = rng.uniform(2.8, 8.0)  # of the cross-section: round to square
   plan = rng.uniform(2.5, 6.0)  # how square the nose and tail are, seen from above
   hull, half_width = body(form, power, plan, kind)
-  parts = livery.wear(hull, look)
-  parts += wheels(rng, form, half_width, colors)
+  axles, wheel = place_axles(rng, form)
+  lamps = [
+    form.clearance + s * (h - form.clearance) for s, h in ((0.7, form.nose), (0.72, form.boot))
+  ]
+  arches = [(z, wheel, 1.16 * wheel) for z in axles]
+  parts = livery.wear(rng, hull, form, look, arches, lamps)
+  parts += wheels(rng, look, half_width, axles, wheel)
   if kind == 'open':
     parts += cockpit(rng, form, colors)
   else:
@@ -63,7 +68,7 @@ def build(rng: np.random.Generator) -> list[Part]:
     parts += bed(rng, form, look, colors)
   if kind == 'lorry':
     parts += cargo(rng, form, look, colors)
-  return parts + trim(rng, form, half_width, kind, look, colors)
+  return parts + extras.add(rng, form, half_width, kind, look, colors)
 
 
 def vary(rng, form: Form) -> Form:
@@ -113,67 +118,54 @@ def body(form: Form, power, plan, kind):
   return solids.loft(np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], -1)), half_width
 
 
-def wheels(rng, form: Form, half_width, colors) -> list[Part]:
-  """Four wheels (six on a long car) in dark arches."""
-  tread = mt.plain(np.full(3, rng.uniform(0.1, 0.18)))
-  arch = mt.plain(np.full(3, rng.uniform(0.08, 0.14)))
-  face = livery.rim(rng, colors)
+def place_axles(rng, form: Form) -> tuple[list[float], float]:
+  """Positions z of two axles (three on a long car), and the wheels' radius."""
   low = 0.95 * min(0.6 * form.bonnet + 0.4 * form.nose, form.boot)  # arches end below the bonnet
-  r, wide = min(form.wheel, 0.47 * low), rng.uniform(0.2, 0.28)
-  hollow = min(1.14 * r, low - r)
+  radius = min(form.wheel, 0.47 * low)
   axles = [rng.uniform(0.29, 0.34), -rng.uniform(0.27, 0.33)]
   if form.length > 5.6:
-    axles.append(axles[1] + 2.3 * r / form.length)
+    axles.append(axles[1] + 2.3 * radius / form.length)
+  return [a * form.length for a in axles], radius
+
+
+def wheels(rng, look, half_width, axles, radius) -> list[Part]:
+  """The wheels on both sides, a little proud of the body."""
+  tread = mt.plain(livery.DARK)
+  face = livery.wheel_face(rng, look)
+  wide = rng.uniform(0.2, 0.28)
   parts = []
-  for at in axles:
-    z = at * form.length
-    x = half_width(z)
-    hole = solids.bar([x - 0.3, r, z], [x + 0.004, r, z], hollow, sides=18)
-    wheel = solids.bar([x - wide + 0.03, r, z], [x + 0.03, r, z], r, sides=18)
-    parts += [paint(hole, arch), paint(facing(wheel, (1, 2)), tread)]
-    parts.append(paint(facing(wheel, (0,)), face))
+  for z in axles:
+    x = half_width(z) + 0.05
+    wheel = solids.bar([x - wide, radius, z], [x, radius, z], radius, sides=20)
+    parts += [paint(facing(wheel, (1, 2)), tread), paint(facing(wheel, (0,)), face)]
   return parts + [mirror(p) for p in parts]
 
 
-def _level(form: Form, t, power):
-  """The cabin's outline [M, 3] at t from 0 (belt) to 1 (roof), and its corner (x, z, z)."""
-  ends = [(1 - t) * a + t * b for a, b in zip(form.glass, form.roof, strict=True)]
-  rear, front = np.array(ends) * form.length
-  width = form.width * (0.93 - 0.17 * t)
-  y = form.belt - 0.06 + t * (form.height - form.belt + 0.06)
-  ring = solids.ellipse(width, front - rear, power=power, sides=32) + [0, 0.5 * (front + rear)]
-  k = 0.5 * 2 ** (-1 / power)
-  mid, long = 0.5 * (front + rear), front - rear
-  return np.insert(ring, 1, y, axis=1), (k * width, mid - k * long, mid + k * long, y)
-
-
 def cabin(rng, form: Form, power, look, *, panelled) -> list[Part]:
-  """Windows all round under a roof on pillars; `panelled` closes the rear sides, as vans are."""
+  """A roof over windows all round; `panelled` closes the rear sides, as vans are."""
   power = max(power, 4.0)
-  glass = mt.plain(np.array([0.13, 0.16, 0.2]) * rng.uniform(0.8, 1.7))
-  parts = [paint(solids.loft([_level(form, t, power)[0] for t in (0.0, 0.5, 0.95)]), glass)]
-  eaves, crown = _level(form, 0.88, power)[0], _level(form, 1.0, power)[0]
-  center = crown.mean(0)
-  roof = [eaves, center + (crown - center) * [1.02, 1, 1.02]]
-  roof.append(center + (crown - center) * 0.7 + [0, 0.035, 0])
-  parts += livery.cover(solids.loft(roof), look)
-  skin = mt.plain(look.roof if rng.uniform() < 0.5 else look.base)
-  (x0, r0, f0, y0), (x1, r1, f1, y1) = _level(form, 0.0, power)[1], _level(form, 0.97, power)[1]
-  posts = [(f0, f1), (r0, r1)]
-  count = int(rng.integers(1, 4)) if form.length < 6.5 else 6
-  for k in range(count):
-    s = (k + 1) / (count + 1)
-    posts.append(((1 - s) * r0 + s * f0, (1 - s) * r1 + s * f1))
-  side = [
-    paint(solids.bar([x0 + 0.02, y0, a], [x1 + 0.02, y1, b], 0.035, sides=6), skin)
-    for a, b in posts
-  ]
-  if panelled:
-    cut = rng.uniform(0.5, 0.72)
-    a, b = (1 - cut) * r0 + cut * f0, (1 - cut) * r1 + cut * f1
-    corners = [[[x0 + 0.05, y0, z] for z in (r0, a)], [[x1 + 0.05, y1, z] for z in (r1, b)]]
-    side.append(paint(solids.sheet(np.array(corners), 0.05), mt.plain(look.base)))
-  return parts + side + [mirror(p) for p in side]
+  rise = form.height - form.belt
+
+  def level(y):
+    t = np.clip((y - form.belt) / rise, 0, 1)
+    rear, front = (
+      (a + t * (b - a)) * form.length for a, b in zip(form.glass, form.roof, strict=True)
+    )
+    return rear, front, 0.5 * form.width * (0.93 - 0.17 * t), t
+
+  rings = []
+  deep = -0.5 * (form.belt - form.clearance) / rise  # well into the body, which slopes
+  for t in (deep, 0.0, 0.3, 0.6, 0.9, 1.0):
+    rear, front, half, _ = level(form.belt + t * rise)
+    shrink = 0.97 if t == 1.0 else 1.0
+    outline = solids.ellipse(2 * half * shrink, (front - rear) * shrink, power=power, sides=32)
+    rings.append(np.insert(outline + [0, 0.5 * (front + rear)], 1, form.belt + t * rise, axis=1))
+  middle = rings[-1].mean(0)
+  rings.append(middle + (rings[-1] - middle) * 0.7 + [0, 0.03, 0])
+  count = int(rng.integers(1, 3)) if form.length < 6.5 else 5
+  posts = (np.arange(count) + 1) / (count + 1)
+  closed = rng.uniform(0.5, 0.7) if panelled else None
+  return livery.glaze(solids.loft(rings), look, level, posts, closed_behind=closed)
 
 
 def cockpit(rng, form: Form, colors) -> list[Part]:
@@ -194,7 +186,7 @@ def cockpit(rng, form: Form, colors) -> list[Part]:
   frame += [[0.8 * w, form.height, front - 0.3], [w, form.belt - 0.05, front]]
   parts.append(paint(solids.tube(solids.smooth(frame), 0.035), mt.plain(colors.metal)))
   pane = np.array([[frame[0], frame[3]], [frame[1], frame[2]]])
-  parts.append(paint(solids.sheet(pane, 0.03), mt.plain([0.2, 0.24, 0.28])))
+  parts.append(paint(solids.sheet(pane, 0.06), mt.plain([0.3, 0.34, 0.38])))
   return parts
 
 
@@ -207,17 +199,16 @@ def bed(rng, form: Form, look, colors) -> list[Part]:
   dark = mt.plain(mt.shade(colors.metal, 0.4))
   parts = [paint(solids.box((2 * w, 0.08, long), (0, form.belt - 0.02, mid)), dark)]
   for size, at in (
-    ((0.08, h - 0.6, long), (w, 0.5 * (h + 0.6), mid)),
-    ((0.08, h - 0.6, long), (-w, 0.5 * (h + 0.6), mid)),
-    ((2 * w, h - 0.6, 0.08), (0, 0.5 * (h + 0.6), rear + 0.04)),
+    ((0.12, h - 0.6, long), (w, 0.5 * (h + 0.6), mid)),
+    ((0.12, h - 0.6, long), (-w, 0.5 * (h + 0.6), mid)),
+    ((2 * w, h - 0.6, 0.12), (0, 0.5 * (h + 0.6), rear + 0.04)),
   ):
     parts.append(paint(solids.box(size, at), wall))
   if rng.uniform() < 0.4:
     up = rng.uniform(0.2, 0.6)
     load = solids.box((1.4 * w, up, 0.6 * long), (0, form.belt + up / 2, mid))
-    parts.append(
-      paint(load, mt.fabric(rng, (colors.accent, colors.wood, colors.second), period=0.6))
-    )
+    cloth = mt.fabric(rng, (colors.accent, colors.wood, colors.second), period=1.0)
+    parts.append(paint(load, cloth))
   return parts
 
 
@@ -240,36 +231,3 @@ def cargo(rng, form: Form, look, colors) -> list[Part]:
   outline = solids.rectangle(form.width, long) + [0, mid]
   heap = solids.pillow(0.9 * (outline - [0, mid]) + [0, mid], low, high + 0.35, power=2)
   return [paint(solids.slab(outline, low, high), skin), paint(heap, mt.plain(colors.wood))]
-
-
-def trim(rng, form: Form, half_width, kind, look, colors) -> list[Part]:
-  """Lights, bumpers, grille, mirrors, plates, and what stands on the roof or tail."""
-  end, nose = 0.5 * form.length, 0.5 * (form.nose + form.clearance)
-  tail = 0.5 * (form.boot + form.clearance)
-  dark = mt.plain(np.full(3, rng.uniform(0.12, 0.25)))
-  bumper = (
-    dark if rng.uniform() < 0.5 else mt.plain(colors.metal if rng.uniform() < 0.6 else look.base)
-  )
-  w = half_width(end)
-  lamp = mt.plain(np.array([0.88, 0.85, 0.62]))
-  red = mt.plain(np.array([0.75, 0.1, 0.1]))
-  side = []
-  size = rng.uniform(0.08, 0.16)
-  shape = np.array([rng.uniform(1.0, 2.0), 1.0, 1.0]) * size
-  up = nose + 0.3 * (form.nose - form.clearance) * rng.uniform(0.2, 0.9)
-  side.append(paint(solids.ellipsoid(shape, (w - shape[0], up, end - 0.02), sides=10), lamp))
-  rear = (rng.uniform(0.14, 0.4), rng.uniform(0.1, 0.3), 0.08)
-  up = tail + 0.2 * form.boot * rng.uniform(0, 1)
-  side.append(paint(solids.box(rear, (w - 0.5 * rear[0], up, -end)), red))
-  belt_z = form.glass[1] * form.length - 0.35
-  mirror_at = (half_width(belt_z) + 0.08, form.belt + 0.04, belt_z)
-  side.append(paint(solids.ellipsoid((0.11, 0.08, 0.06), mirror_at, sides=8), mt.plain(look.base)))
-  parts = side + [mirror(p) for p in side]
-  h = rng.uniform(0.1, 0.2)
-  for z, y in ((end + 0.01, form.clearance + 0.14), (-end - 0.01, form.clearance + 0.14)):
-    parts.append(paint(solids.box((2 * w * 0.98, h, 0.12), (0, y, z)), bumper))
-  if rng.uniform() < 0.7:
-    grille = (w * rng.uniform(0.5, 1.1), rng.uniform(0.1, 0.28), 0.05)
-    parts.append(paint(solids.box(grille, (0, nose + 0.04, end + 0.01)), dark))
-  parts += livery.extras(rng, form, kind, look, colors)
-  return parts

@@ -6,7 +6,7 @@ The floor is y = 0 and lengths are metres. This file chooses the kind and builds
 
 import numpy as np
 
-from datagen.sources.shapes import backs, legs, seating, solids
+from datagen.sources.shapes import backs, legs, seating, solids, surfaces
 from datagen.sources.shapes import materials as mt
 from datagen.sources.shapes.parts import Part, mirror, move, paint
 
@@ -33,8 +33,10 @@ def framed(rng) -> list[Part]:
     frame = mt.wood(rng, colors.wood) if rng.uniform() < 0.7 else mt.plain(colors.wood)
   else:
     frame = mt.plain([colors.metal, colors.main, colors.accent][rng.integers(3)])
-  cloth = mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.12, 0.3))
+  cloth = mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.2, 0.4))
   board = frame if wooden and rng.uniform() < 0.5 else mt.plain(colors.second)
+  if rng.uniform() < 0.3:
+    board = surfaces.boards(rng, colors.wood, int(rng.integers(3, 6)))
   outline = seat_outline(rng, width, depth)
 
   padded = rng.uniform() < 0.55

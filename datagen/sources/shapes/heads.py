@@ -4,7 +4,9 @@ import numpy as np
 
 from datagen.sources.shapes import materials as mt
 from datagen.sources.shapes import solids
-from datagen.sources.shapes.parts import Part, mirror, move, paint, scale
+from datagen.sources.shapes.parts import Part, ahead, mirror, move, paint, scale, texels
+
+WHITE = np.array([0.88, 0.88, 0.86])  # of eyes
 
 
 def head(rng, skin, colors: mt.Scheme, *, size: float) -> list[Part]:
@@ -18,26 +20,36 @@ def head(rng, skin, colors: mt.Scheme, *, size: float) -> list[Part]:
 def face(rng, w, h, d, skin) -> list[Part]:
   """The skull with eyes, brows, nose, mouth and ears, centred."""
   bare, dark = mt.plain(skin), mt.plain([0.12, 0.1, 0.1])
-  parts = [paint(solids.ellipsoid((w, h, d), sides=16), bare)]
-  x, y = 0.4 * w, 0.08 * h
-  white = solids.ellipsoid((0.02, 0.014, 0.01), (x, y, 0.9 * d), sides=8)
-  iris = mt.plain(mt.hsv(rng.choice([0.08, 0.3, 0.58]), 0.6, rng.uniform(0.15, 0.5)))
-  pupil = solids.ellipsoid((0.011, 0.012, 0.01), (x, y, 0.9 * d + 0.007), sides=8)
-  brow = solids.box((0.034, 0.009, 0.012), (x, y + 0.033, 0.9 * d))
-  ear = solids.ellipsoid((0.014, 0.03, 0.02), (w, 0, -0.005), sides=8)
-  side = [paint(white, mt.plain([0.88, 0.88, 0.86])), paint(pupil, iris), paint(brow, dark)]
-  side.append(paint(ear, bare))
-  parts += side + [mirror(p) for p in side]
+  skull = solids.ellipsoid((w, h, d), sides=20)
+  front, behind = ahead(skull)
+  parts = [paint(front, features(rng, skull, w, h, skin), axis=2), paint(behind, bare)]
+  x, y = 0.42 * w, 0.1 * h
+  ear = paint(solids.ellipsoid((0.016, 0.03, 0.022), (w, 0, -0.005), sides=8), bare)
+  parts += [ear, mirror(ear)]
   nose = solids.ellipsoid((0.014, 0.026, 0.02), (0, -0.12 * h, 0.97 * d), sides=8)
   parts.append(paint(nose, mt.plain(mt.shade(skin, 0.93))))
-  wide = rng.uniform(0.018, 0.032)
-  mouth = solids.ellipsoid((wide, 0.009, 0.014), (0, -0.47 * h, 0.84 * d), sides=8)
-  parts.append(paint(mouth, mt.plain([0.62, 0.22, 0.22])))
   if rng.uniform() < 0.15:  # glasses
     lens = paint(solids.box((0.045, 0.034, 0.01), (x, y, 0.9 * d + 0.02)), dark)
     bridge = paint(solids.box((2.3 * w, 0.008, 0.01), (0, y + 0.01, 0.9 * d + 0.01)), dark)
     parts += [lens, mirror(lens), bridge]
   return parts
+
+
+def features(rng, skull, w, h, skin) -> mt.Material:
+  """Eyes, brows, mouth and cheeks, painted on a skull of half width w and half height h."""
+  x, y = texels(skull, 2, 1, 128)
+  dark, lips = mt.close([skin, [0.14, 0.11, 0.1], [0.66, 0.2, 0.22]], 0.5)[1:]
+  iris = mt.hsv(rng.choice([0.08, 0.3, 0.58]), 0.6, rng.uniform(0.15, 0.5))
+  rgb = np.broadcast_to(np.asarray(skin, float), (*x.shape, 3)).copy()
+  across = np.abs(x) - 0.42 * w
+  rgb[np.hypot(across, y + 0.25 * h) < 0.2 * h] = mt.close([skin, [0.8, 0.4, 0.38]], 0.1)[1]
+  rgb[np.hypot(across / 0.024, (y - 0.1 * h) / 0.017) < 1] = mt.close([skin, WHITE], 0.45)[1]
+  rgb[np.hypot(across, y - 0.1 * h) < 0.012] = iris
+  rgb[(np.abs(across) < 0.024) & (np.abs(y - 0.37 * h) < 0.008)] = dark
+  wide, smile = rng.uniform(0.024, 0.034), rng.uniform(0.0, 0.25)
+  curve = y + 0.5 * h - smile * h * (x / wide) ** 2 * 0.3
+  rgb[(np.abs(x) < wide) & (np.abs(curve) < 0.011)] = lips
+  return mt.drawn(rgb)
 
 
 def hair(rng, w, h, d, colors: mt.Scheme) -> list[Part]:

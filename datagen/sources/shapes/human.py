@@ -10,7 +10,7 @@ import numpy as np
 
 from datagen.sources.shapes import heads, poses, solids
 from datagen.sources.shapes import materials as mt
-from datagen.sources.shapes.parts import Part, mirror, paint
+from datagen.sources.shapes.parts import Part, ahead, mirror, paint, texels
 
 
 class Clothes(NamedTuple):
@@ -26,6 +26,16 @@ class Clothes(NamedTuple):
   skirt: mt.Material | None
   coat: bool
 
+
+# What is on the front of a shirt, and how often.
+FRONTS = {
+  'plain': 0.42,
+  'print': 0.26,
+  'tie': 0.06,
+  'buttons': 0.08,
+  'waistcoat': 0.08,
+  'band': 0.1,
+}
 
 # Poses in which a skirt still hangs down around both legs.
 _UPRIGHT = (
@@ -99,14 +109,15 @@ def skin_tone(rng) -> np.ndarray:
 def dress(rng, colors: mt.Scheme, skin, *, skirted: bool) -> Clothes:
   """Shirt, trousers, shorts, skirt, dress, overall or coat, and shoes."""
   bare = mt.plain(skin)
-  top = mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.09, 0.2))
+  top = mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.16, 0.3))
   if rng.uniform() < 0.2:  # hoops, as sports shirts have
-    top = mt.stripes(rng, (colors.main, colors.second, colors.accent), period=0.14, angle=1)
+    tones = mt.close([colors.main, colors.second, colors.accent], mt.PATTERN)
+    top = mt.stripes(rng, tones, period=0.2, angle=1)
   denim = mt.hsv(rng.uniform(0.56, 0.66), rng.uniform(0.3, 0.6), rng.uniform(0.28, 0.6))
   low = [colors.second, colors.accent, denim, mt.neutral(rng), mt.shade(colors.main, 0.5)]
   low = low[rng.integers(5)]
   bottom = (
-    mt.plain(low) if rng.uniform() < 0.75 else mt.fabric(rng, (low, colors.main, skin), period=0.12)
+    mt.plain(low) if rng.uniform() < 0.75 else mt.fabric(rng, (low, colors.main, skin), period=0.22)
   )
   kind = rng.choice(
     ['shirt', 'shorts', 'skirt', 'dress', 'overall', 'coat'], p=[0.4, 0.2, 0.1, 0.1, 0.1, 0.1]
@@ -170,30 +181,46 @@ def chest(rng, lengths, stout, clothes: Clothes, colors) -> list[Part]:
   half[:, 1] = np.array([0.95 * belly, belly, belly, 1.05, 1.0, 0.85, 0.6, 0.5]) * d
   path = np.stack([0 * y, y, 0 * y], 1)
   trunk = solids.tube(path, half, sides=18, up=(0, 0, 1))
-  parts = [paint(trunk, clothes.shirt)]
+  kind = 'tie' if clothes.coat else str(rng.choice(list(FRONTS), p=list(FRONTS.values())))
+  front, behind = ahead(trunk)
+  picture = shirt_front(rng, kind, trunk, clothes, colors)
+  parts = [paint(front, picture, axis=2), paint(behind, clothes.shirt)]
   neck = solids.lathe([(0.055, 0.95 * h), (0.05, h + 0.12)], sides=10)
   parts.append(paint(neck, clothes.skin))
-  front = 1.04 * d * max(belly, 1.0)
-  kind = rng.uniform()
-  if kind < 0.2:  # a badge on the chest
-    patch = solids.box((1.2 * w, 0.5 * h, 0.03), (0, 0.58 * h, front - 0.012))
-    base = colors.second if clothes.shirt.picture is not None else clothes.shirt.color
-    parts.append(paint(patch, mt.emblem(rng, base, colors.accent)))
-  elif kind < 0.3 or clothes.coat:  # a tie or a row of buttons
-    tie = solids.box((0.05, 0.6 * h, 0.03), (0, 0.6 * h, front - 0.008))
-    parts.append(paint(tie, mt.plain(colors.accent)))
-  elif kind < 0.42:  # a rucksack
+  if rng.uniform() < 0.12:  # a rucksack
     bag = solids.pillow(solids.ellipse(1.5 * w, 0.2, power=4), 0.15 * h, 0.95 * h, power=4)
     bag = bag._replace(vertices=bag.vertices + [0, 0, -d - 0.08])
     parts.append(paint(bag, mt.plain(colors.accent)))
-    strap = solids.box((0.04, 0.7 * h, 0.03), (0.6 * w, 0.6 * h, front - 0.015))
-    strap = paint(strap, mt.plain(mt.shade(colors.accent, 0.7)))
-    parts += [strap, mirror(strap)]
-  elif kind < 0.5:  # a waistcoat: the middle shows the shirt
-    vest = solids.box((0.5 * w, 0.75 * h, 0.04), (0.55 * w, 0.5 * h, 0.86 * d))
-    vest = paint(vest, mt.plain(colors.accent))
-    parts += [vest, mirror(vest)]
   return parts
+
+
+def shirt_front(rng, kind, trunk, clothes: Clothes, colors) -> mt.Material:
+  """The shirt as seen from the front: plain, with a print, a tie, buttons, a waistcoat, a band."""
+  x, y = texels(trunk, 2, 1, 128)
+  low, high = trunk.vertices[:, 1].min(), trunk.vertices[:, 1].max()
+  shirt, half = clothes.shirt, trunk.vertices[:, 0].max()
+  if shirt.picture is None:
+    rgb = np.broadcast_to(shirt.color, (*x.shape, 3)).copy()
+  else:  # where `paint` lays it
+    middle = 0.5 * (low + high)
+    rgb = mt.lookup(shirt, x / shirt.period + 0.5, (y - middle) / shirt.period + 0.5)
+  up = (y - low) / (high - low)
+  other, mark = mt.close([rgb.mean((0, 1)), colors.accent, colors.second], 0.5)[1:]
+  if kind == 'print':
+    badge = mt.emblem(rng, other, mark)
+    size = 1.3 * half
+    inside = (np.abs(x) < 0.5 * size) & (np.abs(up - 0.55) * (high - low) < 0.5 * size)
+    picture = mt.lookup(badge, x / size + 0.5, (up - 0.55) * (high - low) / size + 0.5)
+    rgb[inside] = picture[inside]
+  elif kind == 'tie':
+    rgb[(np.abs(x) < 0.025 + 0.012 * (1 - up)) & (up > 0.25)] = other
+  elif kind == 'buttons':
+    rgb[(np.abs(x) < 0.022) & (np.cos(up * 2 * np.pi * 4) > 0)] = mark
+  elif kind == 'waistcoat':
+    rgb[(np.abs(x) > 0.05 + 0.12 * half) & (up < 0.95)] = other
+  elif kind == 'band':
+    rgb[np.abs(up - rng.uniform(0.4, 0.7)) < rng.uniform(0.08, 0.16)] = other
+  return mt.drawn(rgb)
 
 
 def hand(clothes: Clothes) -> list[Part]:

@@ -11,6 +11,8 @@ import numpy as np
 
 SIZE = 64  # edge of a pattern, texels
 
+GRAIN, PATTERN = 0.3, 0.38  # the largest distance between a wood's, or a pattern's, colours
+
 # Rows of a 3 x 5 font, most significant bit left.
 _DIGITS = ('75557', '26227', '71747', '71717', '55711', '74717', '74757', '71111', '75757', '75717')
 
@@ -21,6 +23,7 @@ class Material(NamedTuple):
   color: np.ndarray  # [3]; multiplies the picture
   picture: np.ndarray | None = None  # [H, W, 4] uint8
   period: float | None = None  # length that one picture covers; None: the part's whole extent
+  grain: bool = False  # whether v is to run along the part
 
 
 class Scheme(NamedTuple):
@@ -70,6 +73,30 @@ def plain(color) -> Material:
   return Material(np.asarray(color, float))
 
 
+def close(colors, distance: float) -> list[np.ndarray]:
+  """Colours pulled to the first one until none is farther from it than `distance`.
+
+  A voxel at the border of two colours mixes them otherwise than a pixel does. Where borders are
+  many, colours must not be too far apart, or views would not show the voxels' colours.
+  """
+  first = np.asarray(colors[0], float)
+  steps = [np.asarray(c, float) - first for c in colors]
+  return [first + s * min(1.0, distance / max(np.linalg.norm(s), 1e-9)) for s in steps]
+
+
+def drawn(rgb) -> Material:
+  """A picture [H, W, 3] for a whole part, colours in [0, 1]."""
+  rgb = np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
+  return Material(np.ones(3), np.insert(rgb, 3, 255, axis=-1))
+
+
+def lookup(material: Material, u, v) -> np.ndarray:
+  """Colours [..., 3] of a pictured material at (u, v), repeating, by the nearest texel."""
+  height, width = material.picture.shape[:2]
+  column, row = (np.floor(u % 1 * width)).astype(int), (np.floor(-v % 1 * height)).astype(int)
+  return material.picture[row % height, column % width, :3] / 255
+
+
 def pictured(mask, colors, *, period: float | None = None) -> Material:
   """A picture [H, W] of indices, or of weights between two colours, in the colours given."""
   mask = np.asarray(mask)
@@ -89,33 +116,38 @@ def _uv(size: int = SIZE):
   return np.meshgrid(t, t[::-1])
 
 
-def wood(rng, color, *, period: float = 0.5, upright: bool = True) -> Material:
-  """Grain along v (or along u): streaks of one tone."""
-  u, v = _uv() if upright else _uv()[::-1]
+def wood(rng, color, *, period: float = 0.5) -> Material:
+  """Grain along the part: wavy streaks of one tone, and maybe knots."""
+  u, v = _uv(128)
   bend = rng.uniform(0.02, 0.06) * np.sin(2 * np.pi * (v + rng.uniform()))
+  if rng.uniform() < 0.5:
+    x, y = rng.uniform(size=2)
+    near = np.hypot((u - x + 0.5) % 1 - 0.5, 0.4 * ((v - y + 0.5) % 1 - 0.5))
+    bend = bend + 0.12 * np.exp(-((near / 0.1) ** 2))
   t = sum(
     a * np.sin(2 * np.pi * (k * (u + bend) + rng.uniform()))
-    for k, a in ((2, 0.5), (int(rng.integers(3, 6)), 0.35), (int(rng.integers(7, 12)), 0.25))
+    for k, a in ((1, 0.3), (2, 0.5), (int(rng.integers(3, 6)), 0.35))
   )
   t = np.clip(0.5 + 0.45 * t, 0, 1)
-  return pictured(t, [shade(color, 0.72), shade(color, 1.18)], period=period)
+  tones = [shade(color, rng.uniform(0.66, 0.8)), shade(color, rng.uniform(1.1, 1.22))]
+  return pictured(t, close(tones, GRAIN), period=period)._replace(grain=True)
 
 
 def stripes(rng, colors, *, period: float, angle: int | None = None) -> Material:
   """Bands across u (angle 0), across v (1) or diagonal (2)."""
   u, v = _uv()
   kind = int(rng.integers(3)) if angle is None else angle
-  t = ((u, v, u + v)[kind] * int(rng.integers(1, 3)) + rng.uniform()) % 1.0
-  mask = (t < rng.uniform(0.3, 0.6)).astype(int)
+  t = ((u, v, u + v)[kind] + rng.uniform()) % 1.0
+  mask = (t < rng.uniform(0.3, 0.5)).astype(int)
   if rng.uniform() < 0.4:
-    mask[np.abs(t - 0.8) < 0.07] = 2
+    mask[np.abs(t - 0.75) < 0.1] = 2
   return pictured(mask, colors, period=period)
 
 
 def checks(rng, colors, *, period: float) -> Material:
   """A chequer, or a tartan of crossing bands."""
   u, v = _uv()
-  a, b = (u * 2 % 1 < 0.5), (v * 2 % 1 < 0.5)
+  a, b = (u < 0.5), (v < 0.5)
   if rng.uniform() < 0.5:
     return pictured(a ^ b, colors, period=period)
   mix = 0.5 * a + 0.5 * b
@@ -153,23 +185,23 @@ def chevrons(rng, colors, *, period: float) -> Material:
   u, v = _uv()
   bend = np.abs(u - 0.5)
   if rng.uniform() < 0.5:
-    return pictured((v + bend) * 2 % 1 < 0.5, colors, period=period)
+    return pictured((v + bend) % 1 < 0.5, colors, period=period)
   return pictured(bend + np.abs(v - 0.5) < rng.uniform(0.3, 0.42), colors, period=period)
 
 
 def fabric(rng, colors, *, period: float) -> Material:
   """A plain or patterned cloth in up to three colours."""
-  colors = list(colors)
   kind = rng.uniform()
-  if kind < 0.34:
+  if kind < 0.26:
     return plain(colors[0])
-  if kind < 0.5:
+  colors = close(colors, PATTERN)
+  if kind < 0.42:
     return stripes(rng, colors, period=period)
-  if kind < 0.64:
+  if kind < 0.58:
     return checks(rng, colors, period=period)
-  if kind < 0.76:
+  if kind < 0.72:
     return dots(rng, colors, period=period)
-  if kind < 0.9:
+  if kind < 0.86:
     return blotches(rng, colors, period=period * 1.6)
   return chevrons(rng, colors, period=period)
 

@@ -5,8 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.mesh import TexturedMesh
+from datagen.sources.shapes.cutting import exposed
 from datagen.sources.shapes.materials import Material
 from datagen.sources.shapes.solids import Solid
+
+# The axes that run right and up on faces across each axis.
+_RIGHT, _ABOVE = np.array([2, 0, 0]), np.array([1, 2, 1])
 
 
 class Part(NamedTuple):
@@ -23,7 +27,7 @@ def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
 
   Seen from outside, u runs right and v up (on horizontal faces, v runs away from a viewer in
   front), so nothing is mirrored. A material with a period repeats; one without is stretched over
-  the solid's bounding box.
+  the solid's bounding box. Grain runs along the box's longest side.
 
   Args:
     solid: where it lies now; later moves carry the picture along.
@@ -31,26 +35,62 @@ def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
     axis: 0, 1 or 2 looks along that axis everywhere instead.
   """
   corners = solid.vertices[solid.faces]
-  low, high = solid.vertices.min(0), solid.vertices.max(0)
+  middle, reach = _box(solid)
   normal = _normals(solid)
   major = np.abs(normal).argmax(1) if axis is None else np.full(len(normal), axis)
   sign = np.where(normal[np.arange(len(normal)), major] < 0, -1.0, 1.0)
-  t = (corners - (low + high) / 2) / (
-    material.period or np.maximum(high - low, 1e-9) * 1.02
-  )  # a little inside the picture: its edges wrap
-  right = np.array([2, 0, 0])[major]
-  above = np.array([1, 2, 1])[major]
-  u = np.take_along_axis(t, right[:, None, None], 2)[..., 0]
-  v = np.take_along_axis(t, above[:, None, None], 2)[..., 0]
+  t = (corners - middle) / (material.period or reach)
+  u = np.take_along_axis(t, _RIGHT[major][:, None, None], 2)[..., 0]
+  v = np.take_along_axis(t, _ABOVE[major][:, None, None], 2)[..., 0]
   u = u * np.where(major == 1, 1, np.where(major == 0, -sign, sign))[:, None]
   v = v * np.where(major == 1, -1.0, 1.0)[:, None]
+  if material.grain:
+    across = (_RIGHT[major] == reach.argmax())[:, None]
+    u, v = np.where(across, v, u), np.where(across, u, v)
   return Part(solid.vertices, solid.faces, np.stack([u, v], -1) + 0.5, material)
 
 
-def facing(solid: Solid, axes) -> Solid:
-  """Only the faces whose normals are closest to one of some axes; the extent stays known."""
-  keep = np.isin(np.abs(_normals(solid)).argmax(1), axes)
-  return solid._replace(faces=solid.faces[keep])
+def texels(solid: Solid, axis: int, sign: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+  """Where the texels of a stretched picture come to lie on one side of a solid.
+
+  Args:
+    solid: to be painted; the picture spans its whole box.
+    axis: 0, 1 or 2.
+    sign: 1 or -1, the side that looks along the axis or against it.
+    size: of the picture, which is square.
+
+  Returns:
+    Coordinates [size, size] along z, x, x and along y, z, y for axis 0, 1, 2.
+  """
+  middle, reach = _box(solid)
+  t = (np.arange(size) + 0.5) / size - 0.5
+  u, v = np.meshgrid(t, -t)
+  u, v = u * (-sign, 1, sign)[axis], v * (1, -1, 1)[axis]
+  right, above = _RIGHT[axis], _ABOVE[axis]
+  return middle[right] + u * reach[right], middle[above] + v * reach[above]
+
+
+def facing(solid: Solid, axes, sign: int = 0) -> Solid:
+  """Only the faces whose normals are closest to some axes, or to one sense of them.
+
+  The extent of the whole stays known.
+  """
+  normal = _normals(solid)
+  major = np.abs(normal).argmax(1)
+  along = normal[np.arange(len(normal)), major]
+  return solid._replace(faces=solid.faces[np.isin(major, axes) & (along * sign >= 0)])
+
+
+def ahead(solid: Solid) -> tuple[Solid, Solid]:
+  """The faces that look to +z, however slightly, and the others; the extent stays known."""
+  front = _normals(solid)[:, 2] > 0
+  return solid._replace(faces=solid.faces[front]), solid._replace(faces=solid.faces[~front])
+
+
+def _box(solid: Solid):
+  """The bounding box's middle [3], and how far pictures reach [3]: a little over its edges."""
+  low, high = solid.vertices.min(0), solid.vertices.max(0)
+  return (low + high) / 2, np.maximum(high - low, 1e-9) * 1.02  # at a picture's edge it wraps
 
 
 def _normals(solid: Solid | Part) -> np.ndarray:
@@ -91,31 +131,40 @@ def mirror(part: Part) -> Part:
 
 
 def assemble(parts) -> TexturedMesh:
-  """Joins parts to one mesh; a picture that several share is kept once; faces of no area go."""
-  vertices, faces, colors, uvs, texture = [], [], [], [], []
-  pictures: list[np.ndarray] = []
-  start = 0
+  """Joins parts to one mesh of what is to be seen of them; shared pictures are kept once.
+
+  Parts are closed solids, or the sides of one (`facing`), all of which are among the parts. What
+  lies inside other solids is cut away, and faces of no area go.
+  """
+  parts = [_solid_faces(part) for part in parts]
+  corners = np.concatenate([p.vertices[p.faces] for p in parts])
+  part_of = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
+  boxes = [np.concatenate([p.vertices.min(0), p.vertices.max(0)]) for p in parts]
+  # Sides of one solid have one box.
+  solid = np.unique(np.round(boxes, 9), axis=0, return_inverse=True)[1].ravel()
+  pieces = exposed(corners, solid[part_of])
+  uv = np.concatenate([p.uv for p in parts])[pieces.face]
+  color = np.stack([np.append(p.material.color, 1.0) for p in parts])[part_of[pieces.face]]
+  slots, pictures = [], []
   for part in parts:
-    keep = np.linalg.norm(_normals(part), axis=1) > 1e-12
     picture = part.material.picture
-    slot = -1
-    if picture is not None:
-      slot = next((k for k, p in enumerate(pictures) if p is picture), len(pictures))
-      if slot == len(pictures):
-        pictures.append(picture)
-    count = int(keep.sum())
-    vertices.append(part.vertices)
-    faces.append(part.faces[keep] + start)
-    rgba = np.append(part.material.color, 1.0).astype(np.float32)
-    colors.append(np.broadcast_to(rgba, (count, 3, 4)))
-    uvs.append((part.uv[keep] if slot >= 0 else np.zeros((count, 3, 2))).astype(np.float32))
-    texture.append(np.full(count, slot, np.int32))
-    start += len(part.vertices)
+    slot = next((k for k, p in enumerate(pictures) if p is picture), len(pictures))
+    slots.append(-1 if picture is None else slot)
+    if picture is not None and slot == len(pictures):
+      pictures.append(picture)
+  texture = np.array(slots, np.int32)[part_of[pieces.face]]
+  count = len(pieces.face)
   return TexturedMesh(
-    vertices=np.concatenate(vertices),
-    faces=np.concatenate(faces).astype(np.int64),
-    corner_colors=np.concatenate(colors),
-    corner_uv=np.concatenate(uvs),
-    texture=np.concatenate(texture),
+    vertices=(pieces.weights @ corners[pieces.face]).reshape(-1, 3),
+    faces=np.arange(3 * count).reshape(-1, 3),
+    corner_colors=np.repeat(color[:, None], 3, axis=1).astype(np.float32),
+    corner_uv=(pieces.weights @ uv * (texture >= 0)[:, None, None]).astype(np.float32),
+    texture=texture,
     textures=tuple(pictures),
   )
+
+
+def _solid_faces(part: Part) -> Part:
+  """The part without its faces of no area."""
+  keep = np.linalg.norm(_normals(part), axis=1) > 1e-12
+  return part._replace(faces=part.faces[keep], uv=part.uv[keep])

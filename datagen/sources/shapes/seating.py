@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from datagen.sources.shapes import backs, legs, solids
+from datagen.sources.shapes import backs, legs, solids, surfaces
 from datagen.sources.shapes import materials as mt
 from datagen.sources.shapes.parts import Part, mirror, move, paint
 
 
 def _cloth(rng, colors):
-  return mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.14, 0.34))
+  return mt.fabric(rng, (colors.main, colors.second, colors.accent), period=rng.uniform(0.22, 0.42))
 
 
 def swivel(rng) -> list[Part]:
@@ -100,6 +100,8 @@ def upholstered(rng) -> list[Part]:
   colors = mt.scheme(rng)
   cloth = _cloth(rng, colors)
   pad = cloth if rng.uniform() < 0.5 else mt.plain(colors.second)
+  if rng.uniform() < 0.35:
+    cloth = surfaces.tufted(colors.main, period=rng.uniform(0.18, 0.28))
   foot = mt.plain(colors.wood if rng.uniform() < 0.7 else colors.metal)
   if rng.uniform() < 0.25:
     return tub(rng, cloth, pad, foot)

@@ -8,6 +8,7 @@ unit. Outlines are closed polygons [M, 2] in a plane seen from its front, counte
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 
 class Solid(NamedTuple):
@@ -186,3 +187,44 @@ def sheet(points, thickness) -> Solid:
     [np.stack([edge, after, after + low], 1), np.stack([edge, after + low, edge + low], 1)]
   )
   return outward(Solid(vertices, np.concatenate([top, top[:, ::-1] + low, side])))
+
+
+def prism(outline, low: float, high: float) -> Solid:
+  """An outline in (x, y) of any shape, extruded from z = low to z = high.
+
+  Args:
+    outline: [M, 2]; its points lie close, next to each other's distance from the other side.
+    low: z of the back.
+    high: z of the front.
+  """
+  o = np.asarray(outline, float)
+  front = Delaunay(o).simplices
+  front = front[contains(o, o[front].mean(1))]
+  a, b, c = np.moveaxis(o[front], 1, 0)
+  turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+  front[turned] = front[turned][:, ::-1]
+  m = len(o)
+  edges = np.concatenate([front[:, [i, (i + 1) % 3]] for i in range(3)])
+  inner = {tuple(e) for e in edges.tolist()} & {tuple(e) for e in edges[:, ::-1].tolist()}
+  i, j = np.array([e for e in edges.tolist() if tuple(e) not in inner]).T
+  sides = np.concatenate([np.stack([i, i + m, j + m], 1), np.stack([i, j + m, j], 1)])
+  vertices = np.concatenate([np.insert(o, 2, z, axis=1) for z in (high, low)])
+  return Solid(vertices, np.concatenate([front, front[:, ::-1] + m, sides]))
+
+
+def contains(outline, points) -> np.ndarray:
+  """[N] bool: whether an outline [M, 2] goes around points [N, 2]."""
+  a = np.asarray(outline, float)
+  b = np.roll(a, -1, 0)
+  x, y = points[:, :1], points[:, 1:]
+  spans = (a[:, 1] > y) != (b[:, 1] > y)
+  slope = (b[:, 0] - a[:, 0]) / np.where(a[:, 1] == b[:, 1], 1, b[:, 1] - a[:, 1])
+  return (spans & (x < a[:, 0] + (y - a[:, 1]) * slope)).sum(1) % 2 == 1
+
+
+def resample(outline, spacing: float) -> np.ndarray:
+  """A closed outline's points at even distances of about `spacing`."""
+  closed = np.concatenate([outline, outline[:1]])
+  along = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
+  at = np.linspace(0, along[-1], max(int(along[-1] / spacing), 8), endpoint=False)
+  return np.stack([np.interp(at, along, closed[:, k]) for k in (0, 1)], 1)

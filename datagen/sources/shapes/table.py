@@ -5,7 +5,7 @@ The long side runs along x; drawers open towards +z.
 
 import numpy as np
 
-from datagen.sources.shapes import legs, solids
+from datagen.sources.shapes import legs, solids, surfaces
 from datagen.sources.shapes import materials as mt
 from datagen.sources.shapes.parts import Part, mirror, move, paint
 
@@ -36,8 +36,8 @@ def build(rng: np.random.Generator) -> list[Part]:
   if rng.uniform() < 0.25:  # a rim of another colour
     rim = solids.slab(outline * 1.015, height - thick - 0.012, height - 0.25 * thick)
     parts.append(paint(rim, mt.plain(colors.accent)))
-  if rng.uniform() < 0.2:
-    parts += cloth(rng, width, depth, height, colors)
+  if rng.uniform() < 0.28:
+    parts += cloth(rng, outline, width, depth, height, colors)
   x, z = 0.5 * width * 0.92 - 0.03, 0.5 * depth * 0.9 - 0.03
   # Legs stay under a top whose corners are cut: as far out as its diagonal reaches.
   reach = np.hypot(*outline.T)[np.abs(outline @ [z, -x]).argsort()[:4]].min()
@@ -55,20 +55,19 @@ def build(rng: np.random.Generator) -> list[Part]:
 
 
 def top_material(rng, colors) -> mt.Material:
-  """Wood, planks of two woods, tiles, a chequer, a stretched picture, or a plain colour."""
+  """Wood, boards, tiles, stone, a border, or a plain colour."""
   kind = rng.uniform()
-  if kind < 0.3:
-    return mt.wood(rng, colors.wood, period=rng.uniform(0.3, 0.7), upright=rng.uniform() < 0.5)
-  if kind < 0.42:
-    tones = (colors.wood, mt.shade(colors.wood, 0.6), colors.second)
-    return mt.stripes(rng, tones, period=rng.uniform(0.2, 0.4), angle=int(rng.integers(2)))
-  if kind < 0.54:
-    return mt.checks(rng, (colors.main, colors.second), period=rng.uniform(0.2, 0.45))
-  if kind < 0.64:
-    return mt.emblem(rng, colors.main, colors.second)
-  if kind < 0.74:
-    marble = (colors.second, mt.shade(colors.second, 0.7), mt.shade(colors.second, 1.2))
-    return mt.blotches(rng, marble, period=rng.uniform(0.4, 0.8))
+  if kind < 0.2:
+    return mt.wood(rng, colors.wood, period=rng.uniform(0.4, 0.7))
+  if kind < 0.48:
+    return surfaces.boards(rng, colors.wood, int(rng.integers(3, 7)))
+  if kind < 0.62:
+    return surfaces.tiles(rng, (colors.main, colors.second, colors.accent), int(rng.integers(3, 6)))
+  if kind < 0.76:
+    return surfaces.stone(rng, colors.second if rng.uniform() < 0.5 else mt.neutral(rng))
+  if kind < 0.84:
+    tones = (colors.main, colors.second, colors.accent)
+    return surfaces.bordered(tones, width=rng.uniform(0.08, 0.16), round_=rng.uniform() < 0.5)
   return mt.plain([colors.main, colors.second, colors.accent][rng.integers(3)])
 
 
@@ -94,18 +93,27 @@ def top_slab(rng, outline, height, thick):
   return solids.loft(levels)
 
 
-def cloth(rng, width, depth, height, colors) -> list[Part]:
-  """A runner across the table that hangs over its long edges, or a mat in the middle."""
-  pattern = mt.fabric(rng, (colors.accent, colors.second, colors.main), period=0.2)
-  if rng.uniform() < 0.5:
+def cloth(rng, outline, width, depth, height, colors) -> list[Part]:
+  """A runner across the table, a mat in its middle, or a cloth over all of it."""
+  pattern = mt.fabric(
+    rng, (colors.accent, colors.second, colors.main), period=rng.uniform(0.25, 0.45)
+  )
+  kind = rng.uniform()
+  if kind < 0.35:
     w = width * rng.uniform(0.2, 0.5)
-    drop = rng.uniform(0.06, 0.22)
-    z = 0.5 * depth + 0.01
-    line = [(-z, height - drop), (-z, height + 0.006), (z, height + 0.006), (z, height - drop)]
+    drop = rng.uniform(0.1, 0.25)
+    z = 0.5 * depth + 0.012
+    line = [(-z, height - drop), (-z, height + 0.01), (z, height + 0.01), (z, height - drop)]
     grid = [[(x, y, z) for x in (-w / 2, w / 2)] for z, y in line]
-    return [paint(solids.sheet(np.array(grid), 0.018), pattern)]
-  outline = solids.ellipse(0.55 * width, 0.55 * depth, power=rng.choice([2.0, 8.0]))
-  return [paint(solids.slab(outline, height, height + 0.012), pattern)]
+    return [paint(solids.sheet(np.array(grid), 0.024), pattern)]
+  if kind < 0.5:
+    outline = 0.55 * outline
+    tones = (colors.accent, colors.second, colors.main)
+    mat = surfaces.bordered(tones, width=rng.uniform(0.1, 0.2), round_=len(outline) > 8)
+    return [paint(solids.slab(outline, height - 0.01, height + 0.014), mat)]
+  drop = height - rng.uniform(0.12, 0.45) * height
+  over = [np.insert(outline * s, 1, y, axis=1) for s, y in ((1.06, drop), (1.02, height + 0.012))]
+  return [paint(solids.loft(over), pattern)]
 
 
 def legged(rng, x, z, height, frame, board, colors) -> list[Part]:
@@ -214,7 +222,7 @@ def slabs(rng, x, z, height, frame, colors) -> list[Part]:
   board = (
     frame
     if rng.uniform() < 0.5
-    else mt.fabric(rng, (colors.main, colors.second, colors.accent), period=0.3)
+    else mt.fabric(rng, (colors.main, colors.second, colors.accent), period=0.45)
   )
   t = rng.uniform(0.03, 0.08)
   kind = int(rng.integers(3))
