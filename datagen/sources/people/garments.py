@@ -15,7 +15,7 @@ from datagen.sources.people.data import BodyData
 from datagen.sources.people.layers import Layer
 from datagen.sources.people.outfits import Outfit, wants_skirt
 
-OVERLAP = 0.25  # dm, of a garment with what lies further out
+OVERLAP = 0.06  # dm, of a garment with what lies further out
 NOWHERE, EVERYWHERE = -1.0, 99.0  # values of fields
 ALONG_ARM, ALONG_LEG = 2.5, 4.0  # dm that one unit of the chart's arm and leg is long
 
@@ -73,7 +73,8 @@ def _upper(chart, fit, low, sleeve):
     return np.where(chart.is_arm, (sleeve - chart.arm) * ALONG_ARM * fit.unit, trunk)
   joints = [chart.at[f'upperarm_{s}'] for s in 'lr']
   away = np.min([np.linalg.norm(chart.vertices - joint, axis=1) for joint in joints], axis=0)
-  return np.where(chart.is_arm, NOWHERE, np.minimum(trunk, away - 0.75 * fit.unit))
+  armhole = np.minimum(away - 0.75 * fit.unit, (0.4 - chart.arm_weight) * fit.unit)
+  return np.minimum(trunk, armhole)
 
 
 def _lower(chart, fit, high, length):

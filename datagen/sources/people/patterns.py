@@ -85,7 +85,7 @@ def sample(rng: np.random.Generator, main: np.ndarray, *, kind: str | None = Non
     kind = list(KINDS)[rng.choice(len(KINDS), p=share / share.sum())]
   second = unlike(rng, main)
   colors = np.stack([main, second, unlike(rng, main, second)])
-  period, turns = rng.uniform(0.09, 0.18), int(rng.integers(2, 5))
+  period, turns = rng.uniform(0.11, 0.2), int(rng.integers(2, 5))
   return Pattern(kind, colors, period, turns, rng.random(), int(rng.integers(2**31)))
 
 

@@ -10,7 +10,7 @@ from datagen.sources.people import charts, face, garments, hair, layers, outfits
 from datagen.sources.people.data import BodyData
 
 GROUPS = ('body', 'helper-tights', 'helper-skirt', 'helper-hair')  # that surfaces are made of
-HEM = 0.2  # dm of skin below the hems that cover it
+HEM = 0.06  # dm of skin below the hems that cover it: more would tint their voxels
 # The mouth's hollow of the base mesh: faces in this ball that look to its middle line it.
 HOLLOW = ((0.0, 6.65, 0.95), 0.62)
 
