@@ -21,6 +21,7 @@ from cvn import errors, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.grid import GRID_SIZE
+from cvn.machine import processor
 from cvn.recipe import PAPER
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
@@ -59,16 +60,6 @@ def describe_machine() -> str:
     f' Python {platform.python_version()}, jax {jax.__version__}, jaxlib {jaxlib.__version__},'
     f' flax {flax.__version__}; GLIBC_TUNABLES {tunables}'
   )
-
-
-def processor() -> str:
-  """The processor's name, as far as the system tells it."""
-  try:
-    with open('/proc/cpuinfo') as f:
-      names = [line.split(':', 1)[1].strip() for line in f if line.startswith('model name')]
-  except OSError:
-    names = []
-  return names[0] if names else platform.processor() or platform.machine()
 
 
 def time_steps(kind: str, batch_size: int, steps: int) -> tuple[float, list[float]]:

@@ -1,0 +1,5 @@
+from cvn.machine import processor
+
+
+def test_the_processor_has_a_name():
+  assert processor().strip()
