@@ -108,6 +108,21 @@ def test_a_declared_size_is_not_believed():
     release.read_array(content.getvalue(), 'a.h5', (64, 64, 64, 3))
 
 
+def test_broken_bytes_end_in_a_line():
+  rng = np.random.default_rng(0)
+  whole = file_with(data=np.zeros((2, 2)))
+  refused = 0
+  for _ in range(100):
+    content = np.frombuffer(whole, np.uint8).copy()
+    content[rng.integers(0, 1200, 5)] = rng.integers(0, 256, 5)
+    try:
+      release.read_array(content.tobytes(), 'a.h5', (2, 2))
+    except UserError as e:
+      assert str(e).startswith('a.h5') and '\n' not in str(e)
+      refused += 1
+  assert 10 < refused < 100
+
+
 def test_without_h5py(monkeypatch):
   monkeypatch.setitem(sys.modules, 'h5py', None)
   with pytest.raises(UserError, match='pip install'):

@@ -23,7 +23,6 @@ from datagen.files import Files, folder_files
 from datagen.sources import SourceModel
 from datagen.splits import SYNSETS
 
-CREATOR = 'the authors of Im2Avatar'
 LAYOUTS = (
   'the folder ShapeNetCore_im2avatar, of <synset>/<id>, or human_im2avatar, of <clothes>/<mesh>'
 )
@@ -73,7 +72,7 @@ def list_models(
     ids = {id: os.path.join(folder, id) for id in _folders(folder)}
   if not ids:
     raise UserError(f'{input_dir} holds no model of category {category}: give {LAYOUTS}')
-  models = [SourceModel(id, category, path, creator=CREATOR) for id, path in sorted(ids.items())]
+  models = [SourceModel(id, category, path) for id, path in sorted(ids.items())]
   _check_axes(models[:_LOOKED_AT], input_dir)
   return models[: limit or None]
 
