@@ -138,8 +138,8 @@ def test_wheel_arches_are_dark_and_doors_are_not():
   z, y = parts.texels(hull, 0, 1, livery.SIZE)
   arch = np.hypot(z - 1.4, y - 0.32) < 0.35
   side = _rgb(painted[1].material)
-  assert _distances(side[arch], livery.DARK).max() < 0.005
-  assert _distances(side[(np.abs(z) < 0.5) & (y > 0.5)], livery.DARK).mean() > 0.1
+  assert _distances(side[arch], look.marks.arch).max() < 0.005
+  assert _distances(side[(np.abs(z) < 0.5) & (y > 0.5)], look.marks.arch).mean() > 0.1
 
 
 def test_an_acoustic_guitar_has_its_hole_in_the_front():

@@ -44,11 +44,11 @@ def choose(rng, colors: mt.Scheme, *, acoustic: bool) -> Look:
   )
   edge = mt.shade(colors.main if rng.uniform() < 0.5 else colors.wood, 0.45)
   side = {'wood': mt.shade(top, rng.uniform(0.65, 1.0)), 'burst': edge}.get(kind, base)
-  second, accent = mt.close([base, colors.second, colors.accent], 0.45)[1:]
+  second, accent = mt.close([base, colors.second, colors.accent], 0.4)[1:]
   trim = [IVORY, DARK, accent][rng.integers(3)]
   guard = [*_GUARDS, second][rng.integers(4)]
   board = mt.shade(colors.wood, rng.choice([0.4, 0.55, 1.0]))
-  neck = mt.shade(colors.wood, rng.uniform(0.8, 1.2))
+  neck = mt.close([board, mt.shade(colors.wood, rng.uniform(0.8, 1.2))], 0.25)[1]
   return Look(kind, base, edge, second, accent, side, trim, np.array(guard), neck, board)
 
 
@@ -68,7 +68,7 @@ def front(rng, solid, outline, look: Look, *, acoustic: bool, hollow: bool) -> m
   width, length = np.ptp(outline, axis=0)
   rgb = _ground(rng, x, y, inward, width, length, look)
   if acoustic or rng.uniform() < 0.4:
-    rgb[inward < 0.018] = mt.close([look.base, look.trim], 0.28)[1]
+    rgb[inward < 0.018] = mt.close([look.base, look.trim], 0.25)[1]
   if hollow:
     bend = 0.012 * np.sin((y - 0.45 * length) / length * 14)
     slot = np.abs(np.abs(x) - 0.3 * width - bend) < 0.012
@@ -114,17 +114,19 @@ def _acoustic(rng, rgb, x, y, inward, width, length, look: Look) -> None:
   hole, radius = 0.66 * length, 0.145 * width * rng.uniform(0.9, 1.2)
   if rng.uniform() < 0.5:
     side = np.hypot((x - 0.24 * width) / 0.05, (y - 0.5 * length) / (0.16 * length)) < 1
-    rgb[side & (inward > 0.02)] = mt.close([look.base, look.guard], 0.45)[1]
+    rgb[side & (inward > 0.02)] = mt.close([look.base, look.guard], 0.38)[1]
   if rng.uniform() < 0.12:
     r, a = np.hypot(x, y - 0.4 * length), np.arctan2(y - 0.4 * length, x)
     rgb[r < 0.34 * width] = [0.62, 0.62, 0.6]
     rgb[(np.sin(a * 6) > 0.2) & (r > 0.12 * width) & (r < 0.26 * width)] = [0.48, 0.48, 0.48]
     return
   r = np.hypot(x, y - hole)
-  rgb[r < radius * rng.uniform(1.25, 1.5)] = mt.close([look.base, look.trim], 0.35)[1]
+  rgb[r < radius * rng.uniform(1.25, 1.5)] = mt.close([look.base, look.trim], 0.3)[1]
   rgb[r < radius] = DARK
   wide = width * rng.uniform(0.18, 0.26)
-  rgb[(np.abs(x) < wide) & (np.abs(y - 0.27 * length) < 0.02)] = mt.shade(look.board, 0.7)
+  rgb[(np.abs(x) < wide) & (np.abs(y - 0.27 * length) < 0.02)] = mt.close(
+    [look.base, mt.shade(look.board, 0.7)], 0.38
+  )[1]
 
 
 def _electric(rng, rgb, x, y, inward, width, length, look: Look) -> None:
@@ -133,15 +135,15 @@ def _electric(rng, rgb, x, y, inward, width, length, look: Look) -> None:
     tilt = rng.uniform(-0.15, 0.5)
     plate = (x > tilt * (y - 0.5 * length) - rng.uniform(0.02, 0.2) * width) & (inward > 0.03)
     plate &= (y > rng.uniform(0.12, 0.3) * length) & (y < 0.9 * length)
-    rgb[plate] = mt.close([look.base, look.guard], 0.45)[1]
-  cover = mt.close([look.base, _PICKUPS[rng.integers(3)]], 0.5)[1]
+    rgb[plate] = mt.close([look.base, look.guard], 0.38)[1]
+  cover = mt.close([look.base, _PICKUPS[rng.integers(3)]], 0.42)[1]
   high = rng.uniform(0.015, 0.022)
   for at in np.linspace(0.4, 0.76, int(rng.integers(1, 4)) + 1)[1:]:
     rgb[(np.abs(x) < 0.046) & (np.abs(y - at * length) < high)] = cover
-  rgb[(np.abs(x) < 0.05) & (np.abs(y - 0.3 * length) < 0.018)] = mt.close([look.base, STEEL], 0.45)[
+  rgb[(np.abs(x) < 0.05) & (np.abs(y - 0.3 * length) < 0.018)] = mt.close([look.base, STEEL], 0.36)[
     1
   ]
-  knob = mt.close([look.base, IVORY if rng.uniform() < 0.5 else look.accent], 0.45)[1]
+  knob = mt.close([look.base, IVORY if rng.uniform() < 0.5 else look.accent], 0.36)[1]
   for k in range(int(rng.integers(2, 5))):
     rgb[np.hypot(x - 0.3 * width, y - (0.16 + 0.13 * k) * length) < 0.019] = knob
 
@@ -152,7 +154,7 @@ def fingerboard(rng, solid, nut, look: Look) -> mt.Material:
   scale = 1.7 * (nut - solid.vertices[:, 1].min())  # of the strings
   frets = nut - scale * (1 - 2.0 ** (-np.arange(19) / 12))
   fret = mt.close([look.board, STEEL], 0.18)[1]
-  block = mt.close([look.board, IVORY], 0.36)[1]
+  block = mt.close([look.board, IVORY], 0.32)[1]
   rgb = np.broadcast_to(look.board, (*x.shape, 3)).copy()
   rgb[(np.abs(y[..., None] - frets[1:15]) < 0.004).any(-1)] = fret
   marks = 0.5 * (frets[[2, 4, 6, 8, 11, 14]] + frets[[3, 5, 7, 9, 12, 15]])

@@ -98,7 +98,10 @@ def head(rng, nut, front, pegs, look, colors, wood) -> list[Part]:
   kind = str(rng.choice(list(outlines.HEADS)))
   outline = outlines.head(kind, wide, long, rounded=rng.uniform() < 0.5)
   solid = solids.prism(outline, -0.013, 0.013)
-  veneer = [wood, mt.plain(look.base), mt.plain(finishes.DARK)][rng.integers(3)]
+  veneer = [
+    wood,
+    *(mt.plain(mt.close([look.neck, c], 0.35)[1]) for c in (look.base, finishes.DARK)),
+  ][rng.integers(3)]
   parts = [paint(facing(solid, (2,), 1), veneer)]
   parts += [paint(facing(solid, (0, 1)), wood), paint(facing(solid, (2,), -1), wood)]
   peg = mt.plain(mt.shade(colors.metal, 1.1) if rng.uniform() < 0.7 else finishes.IVORY)

@@ -13,9 +13,17 @@ from datagen.sources.shapes.parts import Part, facing, paint, texels
 
 SIZE = 256  # texels along a picture's edge
 DARK = np.array([0.13, 0.13, 0.14])
-CONTRAST = 0.5  # the largest distance of marks' colours from the paint's
+CONTRAST = 0.38  # the largest distance between a car's colours
 
-_MARKS = ([0.2, 0.24, 0.29], [0.88, 0.85, 0.62], [0.78, 0.08, 0.08], [0.86, 0.84, 0.66], DARK)
+# Marks' own colours, and how far they may be from the paint's.
+_MARKS = (
+  ([0.2, 0.24, 0.29], 0.4),
+  ([0.88, 0.85, 0.62], 0.38),
+  ([0.78, 0.08, 0.08], 0.42),
+  ([0.86, 0.84, 0.66], 0.3),
+  (DARK, 0.3),
+  (DARK, 0.45),
+)
 
 KINDS = {
   'plain': 0.2,
@@ -39,6 +47,7 @@ class Marks(NamedTuple):
   tail_lamp: np.ndarray
   plate: np.ndarray
   grille: np.ndarray
+  arch: np.ndarray
 
 
 class Look(NamedTuple):
@@ -74,8 +83,8 @@ def choose(rng, colors: mt.Scheme, width: float) -> Look:
     second=second,
     accent=accent,
     roof=second if rng.uniform() < 0.3 else base,
-    skirt=[mt.close([base, DARK], 0.4)[1], mt.shade(base, 0.6), base][rng.integers(3)],
-    marks=Marks(*mt.close([base, *_MARKS], CONTRAST)[1:]),
+    skirt=[mt.close([base, DARK], 0.34)[1], mt.shade(base, 0.6), base][rng.integers(3)],
+    marks=Marks(*(mt.close([base, color], limit)[1] for color, limit in _MARKS)),
     rim=mt.shade(colors.metal, 1.2) if rng.uniform() < 0.75 else colors.accent,
     level=rng.uniform(0.4, 0.65),
     stripes=stripes,
@@ -110,7 +119,7 @@ def wear(rng, hull, form, look: Look, axles, lamps) -> list[Part]:
     ):
       rgb[(np.abs(z - at) < 0.2) & (np.abs(y - lamp) < 0.5 * high)] = tone
     for at, height, radius in axles:
-      rgb[np.hypot(z - at, y - height) < radius] = DARK
+      rgb[np.hypot(z - at, y - height) < radius] = look.marks.arch
     parts.append(paint(facing(hull, (0,), sign), mt.drawn(rgb)))
     parts.append(paint(facing(hull, (2,), sign), _end(hull, form, look, lamps, sign)))
   x, z = texels(hull, 1, 1, SIZE)
