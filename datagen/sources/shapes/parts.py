@@ -136,7 +136,7 @@ def assemble(parts) -> TexturedMesh:
   Parts are closed solids, or the sides of one (`facing`), all of which are among the parts. What
   lies inside other solids is cut away, and faces of no area go.
   """
-  parts = [_solid_faces(part) for part in parts]
+  parts = [without_slivers(part) for part in parts]
   corners = np.concatenate([p.vertices[p.faces] for p in parts])
   part_of = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
   boxes = [np.concatenate([p.vertices.min(0), p.vertices.max(0)]) for p in parts]
@@ -164,7 +164,7 @@ def assemble(parts) -> TexturedMesh:
   )
 
 
-def _solid_faces(part: Part) -> Part:
+def without_slivers(part: Part) -> Part:
   """The part without its faces of no area."""
   keep = np.linalg.norm(_normals(part), axis=1) > 1e-12
   return part._replace(faces=part.faces[keep], uv=part.uv[keep])
