@@ -5,6 +5,10 @@ import re
 from cvn.errors import UserError
 
 _RELATIVE = re.compile(rb'^[ \t]*f(?=[ \t])[^\n]*[ \t/][-0]', re.MULTILINE)
+_NORMAL = re.compile(rb'^vn[ \t][^\n]*\n', re.MULTILINE)
+_CORNER = re.compile(rb'(?<=[ \t])(\d+/\d*)/\d+(?=[ \t\r\n]|$)')
+_NAME_LIKE_A_CORNER = re.compile(rb'^(usemtl|mtllib)[^\n]*[ \t]\d+/\d*/\d', re.MULTILINE)
+PIECE = 1 << 22  # bytes of text changed at a time
 _KINDS = {b'v': 0, b'vt': 1, b'vn': 2}
 
 
@@ -41,3 +45,22 @@ def _absolute(corner, counts, line):
       index = b'%d' % (count + 1 + k if k < 0 else k)
     indices.append(index)
   return b'/'.join(indices)
+
+
+def without_normals(content: bytes) -> bytes:
+  """Leaves out normals, which have no say here: large files need the memory.
+
+  trimesh would also make a vertex of each pair of a position and a normal.
+
+  Args:
+    content: of a file in which indices are absolute.
+  """
+  if _NAME_LIKE_A_CORNER.search(content):
+    return content
+  pieces, start = [], 0
+  while start < len(content):
+    end = content.find(b'\n', start + PIECE) + 1 or len(content)
+    piece = _NORMAL.sub(b'', content[start:end])
+    pieces.append(_CORNER.sub(rb'\1', piece))
+    start = end
+  return b''.join(pieces)

@@ -22,11 +22,15 @@ from datagen.headers import MAX_FACES, check_dae, check_gltf
 from datagen.images import check_image
 from datagen.mesh import TexturedMesh, check
 from datagen.mtl import plain_mtl
-from datagen.obj import absolute_indices
+from datagen.obj import absolute_indices, without_normals
 from datagen.polygons import cut_concave
 
 EXTENSIONS = ('.obj', '.glb', '.gltf', '.ply', '.dae', '.off', '.stl')
 GLTF = ('.glb', '.gltf')
+UPRIGHT = {  # a DAE file's upward axis -> what turns it to y
+  b'X': np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+  b'Z': np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+}
 
 # What trimesh would print about a file either has no say in shape and colour or ends in an error.
 logging.getLogger('trimesh').setLevel(logging.CRITICAL)
@@ -46,19 +50,13 @@ def read_mesh(files: Files, name: str) -> TexturedMesh:
   """
   extension = posixpath.splitext(name)[1].lower()
   path = posixpath.join(files.path, name)
-  try:
-    content = files.read(name)
-  except FileNotFoundError as e:
-    raise UserError(str(e)) from e
   resolver = _Resolver(files, posixpath.dirname(name))
   try:
     with warnings.catch_warnings():
       warnings.simplefilter('ignore')  # numpy's and PIL's about odd files
-      mesh = from_trimesh(_load(content, extension, resolver), gltf=extension in GLTF)
-    if extension == '.dae':
-      mesh = _turn_up(mesh, content)
+      mesh = from_trimesh(_load(files.read(name), extension, resolver), gltf=extension in GLTF)
     check(mesh)
-  except UserError as e:
+  except (UserError, FileNotFoundError) as e:
     raise UserError(f'{path}: {e}') from e
   except MemoryError:
     raise
@@ -78,11 +76,14 @@ def _load(content, extension, resolver):
   if extension == '.ply':  # trimesh would make paths of edges, with room for each possible vertex
     content = content.replace(b'\nelement edge ', b'\nelement unused_edge ', 1)
   if extension == '.obj':
-    content = cut_concave(absolute_indices(content))
+    content = cut_concave(without_normals(absolute_indices(content)))
+  stream = _Once(content) if extension == '.obj' else io.BytesIO(content)
+  up = re.search(rb'<up_axis>\s*([XZ])_UP', content) if extension == '.dae' else None
+  del content
   # process=False: merging vertices would also merge their colours.
-  scene = trimesh.load_scene(
-    io.BytesIO(content), file_type=extension[1:], resolver=resolver, process=False
-  )
+  scene = trimesh.load_scene(stream, file_type=extension[1:], resolver=resolver, process=False)
+  if up:
+    scene.apply_transform(UPRIGHT[up[1]])
   resolver.check()
   if extension not in GLTF:  # of which they have been checked
     resolver.check_pictures(but=1 if extension == '.obj' else 0)  # its MTL is the first
@@ -91,6 +92,18 @@ def _load(content, extension, resolver):
   if faces > MAX_FACES:
     raise UserError(f'it has {faces} faces, more than {MAX_FACES}')
   return scene
+
+
+class _Once:
+  """A stream that gives up what is read: of large texts trimesh needs the memory."""
+
+  def __init__(self, content: bytes):
+    self._content = content
+
+  def read(self) -> bytes:
+    """All of it."""
+    content, self._content = self._content, b''
+    return content
 
 
 class _Resolver(trimesh.resolvers.Resolver):
@@ -170,16 +183,6 @@ def _as_utf8(text):
     return text
   except UnicodeDecodeError:
     return text.decode('latin-1').encode()
-
-
-def _turn_up(mesh, content):
-  """A DAE file's `up_axis` becomes y."""
-  up = re.search(rb'<up_axis>\s*([XYZ])_UP', content)
-  if up is None or up[1] == b'Y':
-    return mesh
-  x, y, z = np.moveaxis(mesh.vertices, -1, 0)
-  turned = (x, z, -y) if up[1] == b'Z' else (-y, x, z)
-  return mesh._replace(vertices=np.stack(turned, -1))
 
 
 def _reason(e):

@@ -3,7 +3,8 @@
 import pytest
 
 from cvn.errors import UserError
-from datagen.obj import absolute_indices
+from datagen import obj
+from datagen.obj import absolute_indices, without_normals
 
 POINTS = b'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n'
 
@@ -42,3 +43,19 @@ def test_indices_of_nothing(face):
 def test_words_for_indices():
   with pytest.raises(ValueError, match='invalid literal'):
     absolute_indices(POINTS + b'f -x 1 2\n')
+
+
+@pytest.mark.parametrize('piece', [1, 30, 1 << 22])
+def test_normals_are_left_out(piece, monkeypatch):
+  monkeypatch.setattr(obj, 'PIECE', piece)
+  content = POINTS + b'vn 1 0 0\r\nf 1/1/1 2/2/1 3/3/1\nf 1//1 2//1\t3//1\r\nf 1/1 2/2 3/3\nf 1 2 3'
+  expected = POINTS.replace(b'vn 0 0 1\n', b'') + (
+    b'f 1/1 2/2 3/3\nf 1/ 2/\t3/\r\nf 1/1 2/2 3/3\nf 1 2 3'
+  )
+  assert without_normals(content) == expected
+  assert without_normals(content + b'\nf 1/1/1') == expected + b'\nf 1/1'
+
+
+def test_names_that_look_like_corners_stay():
+  content = POINTS + b'usemtl 1/2/3\nf 1//1 2//1 3//1\n'
+  assert without_normals(content) == content
