@@ -1,89 +1,159 @@
-"""The stride-2 3x3x3 transposed convolution and the 3x3x3 convolution after it, as matrix products.
+"""The stride-2 3x3x3 transposed convolution of the decoder and the 3x3x3 convolution of the heads.
 
-A library convolution with dilated input runs in naive loops on a CPU, two hundred times under the
-matrix product. Along one axis, output 2j reads (x[j], w[0]) and (x[j-1], w[2]), output 2j+1 reads
-(x[j], w[1]): SAME padding of the authors' framework. The eight parities of an output voxel are its
-phases, and a map of twice the size is kept in phase layout, [B, X, Y, Z, 2, 2, 2, C], where entry
-(x, y, z, p, q, r) is voxel (2x + p, 2y + q, 2z + r). Kernels are [3, 3, 3, in, out].
+Volumes are [B, X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += x[j] w[t] for
+the deconvolution and o[v] += x[v + t - 1] w[t] for the convolution: SAME padding of the authors'
+framework. Which program computes them is decided when the function is lowered: on a CPU the
+compiled kernels (cvn/native.py) or, where these are missing, matrix products (cvn/phases.py);
+elsewhere the library's convolution. Derivatives are those of the same program.
+
+With `mixed`, the factors of every product are rounded to bfloat16; sums and results are float32.
 """
+
+import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax import lax
 
-# [shift, parity, tap]: the output of that parity reads the input that many blocks back by that tap.
-_DECONV_TAPS = np.zeros((2, 2, 3), np.float32)
-_DECONV_TAPS[[0, 0, 1], [0, 1, 0], [0, 1, 2]] = 1
+from cvn import native, phases
 
-# [parity, reach, tap]: a block's voxel of that parity gives to voxel reach - 1, counted from the
-# block's first, by that tap; a block reaches one voxel past itself on both sides.
-_CONV_TAPS = np.zeros((2, 4, 3), np.float32)
-for _parity in range(2):
-  for _tap in range(3):
-    _CONV_TAPS[_parity, _parity - _tap + 2, _tap] = 1
+_DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
 
-def deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """[B, X, Y, Z, in], [3, 3, 3, in, out] -> phases [B, X, Y, Z, 2, 2, 2, out].
+@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
+def deconv(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
+  """Stride-2 transposed convolution: [B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, out].
 
-  One product of the input's eight shifted copies with a matrix that holds the taps, and zeros where
-  a phase does not read a shift: 27 of its 64 blocks are filled, yet it beats eight exact products.
+  Args:
+    x: [B, X, Y, Z, in] float32.
+    kernel: [3, 3, 3, in, out] float32.
+    mixed: whether products are of bfloat16.
   """
-  b, *size, cin = x.shape
-  cout = kernel.shape[-1]
-  padded = jnp.pad(x, ((0, 0), (1, 0), (1, 0), (1, 0), (0, 0)))
-  sx, sy, sz = size
-  shifted = [
-    padded[:, 1 - i : 1 - i + sx, 1 - j : 1 - j + sy, 1 - k : 1 - k + sz]
-    for i in (0, 1)
-    for j in (0, 1)
-    for k in (0, 1)
-  ]
-  y = jnp.concatenate(shifted, axis=-1).reshape(-1, 8 * cin) @ _matrix(_DECONV_TAPS, kernel)
-  return y.reshape(b, sx, sy, sz, 2, 2, 2, cout)
+  return _by_platform(_native_deconv, phases.deconv, library_deconv, mixed, x, kernel)
 
 
-def conv(phases: jax.Array, kernel: jax.Array) -> jax.Array:
-  """3x3x3 SAME convolution of a map in phase layout: [B,X,Y,Z,2,2,2,in] -> [B,X,Y,Z,2,2,2,out].
+@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
+def conv(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
+  """Convolution with zeros around: [B, X, Y, Z, in] -> [B, X, Y, Z, out].
 
-  One product makes what every block of 2^3 voxels gives to the 4^3 voxels it reaches, and the
-  overlaps are added.
+  Args:
+    x: [B, X, Y, Z, in] float32.
+    kernel: [3, 3, 3, in, out] float32.
+    mixed: whether products are of bfloat16.
   """
-  b, sx, sy, sz, *_, cin = phases.shape
-  y = phases.reshape(-1, 8 * cin) @ _matrix(_CONV_TAPS, kernel)
-  y = y.reshape(b, sx, sy, sz, 4, 4, 4, kernel.shape[-1])
-  for axis in (1, 2, 3):
-    y = _add_overlaps(y, axis, axis + 3)
-  return y
+  return _by_platform(_native_conv, phases.conv, library_conv, mixed, x, kernel)
 
 
-def interleave(phases: jax.Array) -> jax.Array:
-  """Phase layout [B, X, Y, Z, 2, 2, 2, C] -> plain layout [B, 2X, 2Y, 2Z, C]."""
-  b, sx, sy, sz, *_, c = phases.shape
-  return phases.transpose(0, 1, 4, 2, 5, 3, 6, 7).reshape(b, 2 * sx, 2 * sy, 2 * sz, c)
-
-
-def _matrix(taps: np.ndarray, kernel: jax.Array) -> jax.Array:
-  """[from, to, tap] and [3, 3, 3, in, out] -> [from^3 * in, to^3 * out]."""
-  n, m, _ = taps.shape
-  cin, cout = kernel.shape[-2:]
-  for _ in range(3):  # one spatial axis of the kernel after another: x, y, z
-    kernel = jnp.tensordot(kernel, taps, ((0,), (2,)))
-  # now [in, out, from, to, from, to, from, to]
-  return kernel.transpose(2, 4, 6, 0, 3, 5, 7, 1).reshape(n**3 * cin, m**3 * cout)
-
-
-def _add_overlaps(y: jax.Array, axis: int, reach: int) -> jax.Array:
-  """Folds the four voxels that a block reaches along an axis into the block's own two."""
-  before, first, second, after = (
-    jax.lax.index_in_dim(y, i, reach, keepdims=True) for i in range(4)
+def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
+  """The same as the library has it: dilated input, correlated with the flipped kernel."""
+  return lax.conv_general_dilated(
+    x,
+    kernel[::-1, ::-1, ::-1],
+    (1, 1, 1),
+    [(2, 1)] * 3,
+    lhs_dilation=(2, 2, 2),
+    dimension_numbers=_DIMENSIONS,
+    preferred_element_type=jnp.float32,
   )
-  last = y.shape[axis] - 1
 
-  def shifted(v, low):
-    edge = [(0, 0)] * v.ndim
-    edge[axis] = (1, 0) if low else (0, 1)
-    start = 0 if low else 1
-    return jnp.pad(jax.lax.slice_in_dim(v, start, start + last, axis=axis), edge)
 
-  return jnp.concatenate([first + shifted(after, True), second + shifted(before, False)], reach)
+def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
+  """The same as the library has it."""
+  return lax.conv_general_dilated(
+    x,
+    kernel,
+    (1, 1, 1),
+    'SAME',
+    dimension_numbers=_DIMENSIONS,
+    preferred_element_type=jnp.float32,
+  )
+
+
+def _deconv_forward(x, kernel, mixed):
+  return deconv(x, kernel, mixed), (x, kernel)
+
+
+def _deconv_backward(mixed, residuals, dy):
+  return _by_platform(
+    _native_deconv_gradient,
+    _gradient_of(phases.deconv),
+    _gradient_of(library_deconv),
+    mixed,
+    *residuals,
+    dy,
+  )
+
+
+def _conv_forward(x, kernel, mixed):
+  return conv(x, kernel, mixed), (x, kernel)
+
+
+def _conv_backward(mixed, residuals, dy):
+  return _by_platform(
+    _native_conv_gradient,
+    _gradient_of(phases.conv),
+    _gradient_of(library_conv),
+    mixed,
+    *residuals,
+    dy,
+  )
+
+
+deconv.defvjp(_deconv_forward, _deconv_backward)
+conv.defvjp(_conv_forward, _conv_backward)
+
+
+def _by_platform(kernels, products, library, mixed, *arrays):
+  """Calls one of three programs for the same thing."""
+
+  def rounded(function):
+    def call(*arrays):
+      # On an accelerator, as bfloat16: its own units multiply them.
+      return function(*(a.astype(jnp.bfloat16) if mixed else a for a in arrays))
+
+    return call
+
+  def on_cpu(*arrays):
+    if native.available():
+      return kernels(*arrays, mixed=mixed)
+    if mixed:
+      arrays = [lax.reduce_precision(a, exponent_bits=8, mantissa_bits=7) for a in arrays]
+    return products(*arrays)
+
+  return lax.platform_dependent(*arrays, cpu=on_cpu, default=rounded(library))
+
+
+def _gradient_of(function):
+  """(x, kernel, dy) -> (dx, dkernel), float32."""
+
+  def gradient(x, kernel, dy):
+    _, pull = jax.vjp(function, x, kernel)
+    return tuple(g.astype(jnp.float32) for g in pull(dy.astype(jnp.float32)))
+
+  return gradient
+
+
+def _native_deconv(x, kernel, mixed):
+  b, *size, _ = x.shape
+  return _call('cvn_deconv', [(b, *(2 * s for s in size), kernel.shape[-1])], mixed, x, kernel)[0]
+
+
+def _native_deconv_gradient(x, kernel, dy, mixed):
+  shapes = [x.shape, (len(x), *kernel.shape)]
+  dx, dkernel = _call('cvn_deconv_gradient', shapes, mixed, x, kernel, dy)
+  return dx, dkernel.sum(0)
+
+
+def _native_conv(x, kernel, mixed):
+  return _call('cvn_conv', [(*x.shape[:-1], kernel.shape[-1])], mixed, x, kernel)[0]
+
+
+def _native_conv_gradient(x, kernel, dy, mixed):
+  shapes = [x.shape, (len(x), kernel.shape[-1], *kernel.shape[:-1])]
+  dx, dkernel = _call('cvn_conv_gradient', shapes, mixed, x, kernel, dy)
+  return dx, jnp.moveaxis(dkernel.sum(0), 0, -1)
+
+
+def _call(name, shapes, mixed, *arrays):
+  results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+  return jax.ffi.ffi_call(name, results)(*arrays, mixed=mixed)

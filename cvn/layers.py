@@ -74,24 +74,26 @@ class Conv2D(nn.Module):
 
 
 class Deconv3D(nn.Module):
-  """[B, X, Y, Z, in] -> twice the size, in phase layout [B, X, Y, Z, 2, 2, 2, features]."""
+  """[B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, features]."""
 
   features: int
   activation: Activation = ELU
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.deconv(x, kernel), self.activation, train)
+    return _finish(self, deconv.deconv(x, kernel, self.mixed), self.activation, train)
 
 
 class Conv3D(nn.Module):
-  """3x3x3 convolution in phase layout: [B, X, Y, Z, 2, 2, 2, in] -> [..., features]."""
+  """[B, X, Y, Z, in] -> [B, X, Y, Z, features], from 3x3x3 voxels."""
 
   features: int
   activation: Activation = IDENTITY
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.conv(x, kernel), self.activation, train)
+    return _finish(self, deconv.conv(x, kernel, self.mixed), self.activation, train)

@@ -1,7 +1,8 @@
 """The networks: one encoder and decoder trunk, and the heads that make volumes of it (section 3.4).
 
 Images are [B, H, W, 3] in [0, 1]; volumes [B, X, Y, Z, C]. `apply(variables, image, train=...)`
-uses batch statistics when `train`, else the running ones in `variables['batch_stats']`.
+uses batch statistics when `train`, else the running ones in `variables['batch_stats']`. A `mixed`
+network multiplies bfloat16 numbers; parameters, sums and statistics are float32 all the same.
 """
 
 from typing import NamedTuple
@@ -10,7 +11,6 @@ import jax
 from flax import linen as nn
 
 from cvn.camera import IMAGE_SIZE
-from cvn.deconv import interleave
 from cvn.grid import GRID_SIZE
 from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense
 from cvn.normalization import IDENTITY, SIGMOID, Activation
@@ -46,10 +46,12 @@ class Encoder(nn.Module):
 class Decoder(nn.Module):
   """[B, s, s, s, 128] -> [B, 8 s, 8 s, 8 s, 32]."""
 
+  mixed: bool = False
+
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     for i, channels in enumerate(DECODER):
-      x = interleave(Deconv3D(channels, name=f'deconv{i}')(x, train))
+      x = Deconv3D(channels, mixed=self.mixed, name=f'deconv{i}')(x, train)
     return x
 
 
@@ -58,6 +60,7 @@ class Trunk(nn.Module):
 
   image_size: int
   grid_size: int
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, train: bool) -> jax.Array:
@@ -67,7 +70,7 @@ class Trunk(nn.Module):
       )
     s = self.grid_size // 2 ** (len(DECODER) + 1)
     x = Encoder(s**3 * 128, name='encoder')(image, train)
-    return Decoder(name='decoder')(x.reshape(-1, s, s, s, 128), train)
+    return Decoder(self.mixed, name='decoder')(x.reshape(-1, s, s, s, 128), train)
 
 
 class Head(nn.Module):
@@ -76,27 +79,30 @@ class Head(nn.Module):
   hidden: int
   features: int
   activation: Activation = IDENTITY
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    x = Deconv3D(self.hidden, name='deconv')(x, train)
-    return interleave(Conv3D(self.features, self.activation, name='conv')(x, train))
+    x = Deconv3D(self.hidden, mixed=self.mixed, name='deconv')(x, train)
+    return Conv3D(self.features, self.activation, self.mixed, name='conv')(x, train)
 
 
 class FlowHead(nn.Module):
   """The flow volume comes from one deconvolution, as in the authors' program."""
 
+  mixed: bool = False
+
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    return interleave(Deconv3D(2, SIGMOID, name='deconv')(x, train))
+    return Deconv3D(2, SIGMOID, self.mixed, name='deconv')(x, train)
 
 
-def _color_heads(x: jax.Array, train: bool) -> ColorVolumes:
+def _color_heads(x: jax.Array, train: bool, mixed: bool) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
-    Head(16, 3, SIGMOID, name='regressed')(x, train),
-    FlowHead(name='flow')(x, train),
-    1 - Head(16, 1, SIGMOID, name='weight')(x, train),
+    Head(16, 3, SIGMOID, mixed, name='regressed')(x, train),
+    FlowHead(mixed, name='flow')(x, train),
+    1 - Head(16, 1, SIGMOID, mixed, name='weight')(x, train),
   )
 
 
@@ -105,11 +111,12 @@ class ShapeNetwork(nn.Module):
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
-    return Head(24, 1, name='head')(x, train)
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return Head(24, 1, mixed=self.mixed, name='head')(x, train)
 
 
 class ColorNetwork(nn.Module):
@@ -117,10 +124,12 @@ class ColorNetwork(nn.Module):
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> ColorVolumes:
-    return _color_heads(Trunk(self.image_size, self.grid_size, name='trunk')(image, train), train)
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return _color_heads(x, train, self.mixed)
 
 
 class JointNetwork(nn.Module):
@@ -128,11 +137,12 @@ class JointNetwork(nn.Module):
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> tuple[jax.Array, ColorVolumes]:
-    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
-    return Head(24, 1, name='head')(x, train), _color_heads(x, train)
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return Head(24, 1, mixed=self.mixed, name='head')(x, train), _color_heads(x, train, self.mixed)
 
 
 class AdaptedR2N2(nn.Module):
@@ -144,8 +154,9 @@ class AdaptedR2N2(nn.Module):
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, name='trunk')(image, train)
-    return Head(24, 3, name='head')(x, train)
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return Head(24, 3, mixed=self.mixed, name='head')(x, train)

@@ -47,7 +47,7 @@ def create_state(key: jax.Array, kind: str) -> TrainState:
 
 
 def make_step(
-  kind: str, recipe: Recipe, *, learning_rate: float | None = None
+  kind: str, recipe: Recipe, *, learning_rate: float | None = None, mixed: bool = False
 ) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
   """One optimisation step, compiled; the state that goes in is donated.
 
@@ -55,17 +55,20 @@ def make_step(
     kind: 'shape' or 'color'.
     recipe: loss, schedules, penalty.
     learning_rate: a constant one, instead of the recipe's.
+    mixed: whether products are of bfloat16 numbers.
 
   Returns:
     step(state, batch) -> (state, metrics): scalars, the loss before the step among them.
   """
+
+  network = NETWORKS[kind].clone(mixed=mixed)
 
   def step(state, batch):
     samples = (state.step * len(batch.image)).astype(jnp.float32)
     rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
     decay = norm_decay(samples)
     (_, (found, batch_stats)), gradient = jax.value_and_grad(_objective, has_aux=True)(
-      state.params, state.batch_stats, batch, kind, recipe, True
+      state.params, state.batch_stats, batch, network, recipe, True
     )
     update, opt_state = _ADAM.update(gradient, state.opt_state)
     params = jax.tree.map(lambda p, u: p - rate * u, state.params, update)
@@ -81,18 +84,22 @@ def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str
   """The metrics of a batch with running statistics, compiled: the loss, and for shapes the IoU."""
 
   def evaluate(state, batch):
-    _, (found, _) = _objective(state.params, state.batch_stats, batch, kind, recipe, False)
+    _, (found, _) = _objective(
+      state.params, state.batch_stats, batch, NETWORKS[kind], recipe, False
+    )
     return found
 
   return jax.jit(evaluate)
 
 
-def _objective(params, batch_stats, batch, kind, recipe, train):
+def _objective(params, batch_stats, batch, network, recipe, train):
   """(loss, (metrics, batch statistics))."""
-  volumes, mutated = NETWORKS[kind].apply(
+  volumes, mutated = network.apply(
     {'params': params, 'batch_stats': batch_stats}, batch.image, train=train, mutable='batch_stats'
   )
-  loss, found = (_shape_loss if kind == 'shape' else _color_loss)(volumes, batch, recipe, train)
+  loss, found = (_shape_loss if isinstance(network, ShapeNetwork) else _color_loss)(
+    volumes, batch, recipe, train
+  )
   if recipe.kernel_penalty:
     loss = loss + recipe.kernel_penalty * _kernel_sum(params)
   return loss, ({'loss': loss, **found}, mutated['batch_stats'])

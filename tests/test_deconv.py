@@ -1,70 +1,109 @@
-"""The matrix-product deconvolution against the library's convolution with dilated input."""
+"""Both programs for a CPU, and the library's, agree: values and gradients."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
 
-from cvn import deconv
+from cvn import deconv, native, phases
 
-DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
+SHAPES = [(2, 2, 3, 4, 6), (1, 1, 1, 1, 3), (1, 5, 2, 1, 1), (2, 2, 2, 17, 33), (1, 2, 1, 32, 24)]
+PROGRAMS = {
+  'deconv': (deconv.deconv, phases.deconv, deconv.library_deconv),
+  'conv': (deconv.conv, phases.conv, deconv.library_conv),
+}
 
-
-def library_deconv(x, kernel):
-  """Stride-2 SAME: the input dilated, correlated with the flipped kernel."""
-  return lax.conv_general_dilated(
-    x,
-    kernel[::-1, ::-1, ::-1],
-    (1, 1, 1),
-    [(2, 1)] * 3,
-    lhs_dilation=(2, 2, 2),
-    dimension_numbers=DIMENSIONS,
-  )
-
-
-def library_conv(x, kernel):
-  return lax.conv_general_dilated(x, kernel, (1, 1, 1), 'SAME', dimension_numbers=DIMENSIONS)
-
-
-def our_deconv(x, kernel):
-  return deconv.interleave(deconv.deconv(x, kernel))
-
-
-def blocks(x):
-  """Plain layout -> phase layout."""
-  b, sx, sy, sz, c = x.shape
-  x = x.reshape(b, sx // 2, 2, sy // 2, 2, sz // 2, 2, c)
-  return x.transpose(0, 1, 3, 5, 2, 4, 6, 7)
-
-
-def our_conv(x, kernel):
-  return deconv.interleave(deconv.conv(blocks(x), kernel))
+CUSTOM_CALLS = [jax.export.DisabledSafetyCheck.custom_call(name) for name in native.KERNELS]
 
 
 def draw(rng, *shape):
   return rng.standard_normal(shape, dtype=np.float32)
 
 
-@pytest.mark.parametrize('shape', [(2, 2, 3, 4, 6), (1, 1, 1, 1, 3), (1, 5, 2, 1, 1)])
-@pytest.mark.parametrize('cout', [1, 5])
-@pytest.mark.parametrize(
-  ('ours', 'library', 'scale'), [(our_deconv, library_deconv, 1), (our_conv, library_conv, 2)]
-)
-def test_value_and_gradients(ours, library, scale, shape, cout):
-  rng = np.random.default_rng(0)
-  b, *size, cin = shape
-  x, kernel = draw(rng, b, *(scale * s for s in size), cin), draw(rng, 3, 3, 3, cin, cout)
-  out, pullback = jax.vjp(jax.jit(ours), x, kernel)
-  expected, expected_pullback = jax.vjp(library, x, kernel)
-  cotangent = draw(rng, *out.shape)
-  np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-5)
-  for got, want in zip(pullback(cotangent), expected_pullback(cotangent), strict=True):
-    np.testing.assert_allclose(got, want, rtol=1e-5, atol=2e-5)
+def rounded(x):
+  return lax.reduce_precision(x, exponent_bits=8, mantissa_bits=7)
 
 
-def test_interleave_places_phases():
+def value_and_pullback(function, x, kernel, cotangent):
+  out, pull = jax.vjp(function, x, kernel)
+  return out, *pull(cotangent)
+
+
+def assert_close(got, want, tolerance=1e-5):
+  for g, w in zip(got, want, strict=True):
+    assert g.shape == w.shape and g.dtype == w.dtype == np.float32
+    scale = max(float(jnp.abs(w).max()), 1.0)
+    np.testing.assert_allclose(g, w, rtol=tolerance, atol=tolerance * scale)
+
+
+@pytest.fixture(params=['kernels', 'products'])
+def program(request, monkeypatch):
+  """Each of the two programs for a CPU in turn."""
+  if request.param == 'kernels' and not native.available():
+    pytest.skip('no C++ compiler here')
+  monkeypatch.setattr(native, 'available', lambda: request.param == 'kernels')
+  return request.param
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+@pytest.mark.parametrize('cout', [1, 5, 34])
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_value_and_gradients(program, name, shape, cout):
+  ours, _, library = PROGRAMS[name]
   rng = np.random.default_rng(0)
-  x = draw(rng, 2, 4, 6, 8, 3)
-  phases = blocks(x)
-  np.testing.assert_array_equal(phases[:, 1, 2, 3, 1, 0, 1], x[:, 3, 4, 7])
-  np.testing.assert_array_equal(deconv.interleave(phases), x)
+  x, kernel = draw(rng, *shape), draw(rng, 3, 3, 3, shape[-1], cout)
+  cotangent = draw(rng, *library(x, kernel).shape)
+  got = jax.jit(lambda *a: value_and_pullback(ours, *a))(x, kernel, cotangent)
+  assert_close(got, value_and_pullback(library, x, kernel, cotangent))
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_mixed_rounds_the_factors_of_products_and_nothing_else(program, name, shape):
+  ours, _, library = PROGRAMS[name]
+  rng = np.random.default_rng(1)
+  x, kernel = draw(rng, *shape), draw(rng, 3, 3, 3, shape[-1], 5)
+  cotangent = draw(rng, *library(x, kernel).shape)
+  got = jax.jit(lambda *a: value_and_pullback(lambda x, k: ours(x, k, True), *a))(
+    x, kernel, cotangent
+  )
+  assert_close(got, value_and_pullback(library, *map(rounded, (x, kernel, cotangent))))
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_batches_are_taken_sample_by_sample(program, name):
+  """What is summed over a batch is summed in the same order whatever the threads do."""
+  ours = PROGRAMS[name][0]
+  rng = np.random.default_rng(2)
+  x, kernel = draw(rng, 5, 4, 4, 4, 8), draw(rng, 3, 3, 3, 8, 4)
+  function = jax.jit(lambda x, k, dy: value_and_pullback(ours, x, k, dy))
+  dy = draw(rng, *ours(x, kernel).shape)
+  first, again = function(x, kernel, dy), function(x, kernel, dy)
+  for a, b in zip(first, again, strict=True):
+    np.testing.assert_array_equal(a, b)
+  y, dx, _ = function(x[:1], kernel, dy[:1])
+  np.testing.assert_allclose(y[0], first[0][0], rtol=1e-5, atol=1e-5)
+  np.testing.assert_allclose(dx[0], first[1][0], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize('mixed', [False, True])
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_accelerators_get_the_library_and_cpus_do_not(name, mixed):
+  ours = PROGRAMS[name][0]
+  x, kernel = jnp.zeros((1, 4, 4, 4, 8)), jnp.zeros((3, 3, 3, 8, 4))
+
+  def step(x, kernel):
+    return jnp.sum(jax.grad(lambda k: jnp.sum(ours(x, k, mixed) ** 2))(kernel))
+
+  exported = {
+    platform: jax.export.export(jax.jit(step), platforms=[platform], disabled_checks=CUSTOM_CALLS)(
+      x, kernel
+    ).mlir_module()
+    for platform in ('cpu', 'cuda', 'tpu')
+  }
+  for platform in ('cuda', 'tpu'):
+    assert 'stablehlo.convolution' in exported[platform]
+    assert 'cvn_' not in exported[platform]
+    assert ('bf16' in exported[platform]) == mixed
+  assert 'stablehlo.convolution' not in exported['cpu']
