@@ -49,7 +49,7 @@ def h5py() -> ModuleType:
     import h5py
   except ImportError as e:
     raise UserError(
-      "the authors' released folders need the package h5py: pip install 'cvn[release]'"
+      "the authors' released folders need the package h5py: pip install -e '.[release]'"
     ) from e
   return h5py
 
