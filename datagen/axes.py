@@ -1,9 +1,8 @@
 """Which way a volume's axes run, told from where the views show its voxels.
 
-Where an axis points to the right of a view, flows to its voxels grow to the right along it: a
-straight line fitted to a view's flows gives the directions that the view calls right and down, in
-the volume's axes. Our cameras (cvn/camera.py) say what they are in the world. The one of the 48
-ways to lay a volume's axes along the world's that brings the two together is the volume's.
+Where an axis points to the right of a view, the flows of the voxels along it run to the right. What
+is right and down in each view our cameras (cvn/camera.py) say, in the world's axes. The one of the
+48 ways to lay a volume's axes along the world's by which flows and voxels agree best is taken.
 """
 
 import itertools
@@ -21,7 +20,7 @@ class Axes(NamedTuple):
   """How a volume lies in the world."""
 
   names: tuple[str, str, str]  # each axis's direction in the world, as 'x' or '-z'
-  agreement: float  # 1 where flows follow the voxels just so; other axes come to 0.6 at best
+  agreement: float  # correlation of flows with where their voxels are expected, 1 at best
 
   @property
   def is_mirrored(self) -> bool:
@@ -43,20 +42,19 @@ def find_axes(
     flows: of each model, [V, S, 2].
     azimuths: of the views, degrees.
   """
-  covariance = np.zeros((3, 3))
-  with_flow = np.zeros((len(azimuths), 3, 2))
+  places, with_flow, flow_square = np.zeros((3, 3)), np.zeros((len(azimuths), 3, 2)), 0.0
   for index, flow in zip(indices, flows, strict=True):
-    place = index - index.mean(0)
-    covariance += place.T @ place / len(place)
-    with_flow += place.T @ (flow - flow.mean(1, keepdims=True)) / len(place)
-  slope = np.linalg.pinv(covariance) @ with_flow  # [V, 3, 2]
-  cameras = [camera_at(a) for a in azimuths]
-  expected = np.stack([c.R[:2].T for c in cameras])  # [V, 3, 2] right and down in the world
+    place, flow = index - index.mean(0), flow - flow.mean(1, keepdims=True)
+    places += place.T @ place / len(place)
+    with_flow += place.T @ flow / len(place)
+    flow_square += float(np.square(flow).sum() / len(place))
+  shown = np.stack([camera_at(a).R[:2].T for a in azimuths])  # [V, 3, 2] right, down in the world
 
   def agreement(order, signs):
-    laid = expected[:, order] * np.array(signs)[:, None]
-    scale = np.linalg.norm(slope) * np.linalg.norm(laid)
-    return float((slope * laid).sum() / scale) if scale else 0.0
+    laid = shown[:, order] * np.array(signs)[:, None]
+    expected_square = (laid * (places @ laid)).sum()
+    scale = np.sqrt(flow_square * expected_square)
+    return float((with_flow * laid).sum() / scale) if scale else 0.0
 
   ways = itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3))
   order, signs = max(ways, key=lambda way: agreement(*way))

@@ -56,11 +56,11 @@ def test_hidden_voxels_that_fetch_from_elsewhere_do_not_mislead(records):
 
   axes = found(records, flow=scattered)
   assert axes.names == ('x', 'y', 'z')
-  assert axes.agreement > 0.8
+  assert axes.agreement > 0.5
 
 
 def test_flows_that_follow_nothing(records):
   rng = np.random.default_rng(0)
-  assert found(records, flow=lambda r: rng.uniform(0, 1, r.flow.shape)).agreement < 0.6
-  assert found(records, flow=lambda r: r.flow[..., ::-1]).agreement < 0.6  # (v, u)
+  assert found(records, flow=lambda r: rng.uniform(0, 1, r.flow.shape)).agreement < 0.2
+  assert found(records, flow=lambda r: r.flow[..., ::-1]).agreement < 0.2  # (v, u)
   assert found(records, flow=lambda r: np.full(r.flow.shape, 0.5)).agreement == 0
