@@ -154,9 +154,8 @@ def _gltf_pictures(header, blob, get) -> Iterator[tuple[int, bytes]]:
     head, comma, packed = uri.partition('base64,')
     return base64.b64decode(packed) if comma else get(head)
 
-  materials = header.get('materials', [])
-  textures = [m.get('pbrMetallicRoughness', {}).get('baseColorTexture') for m in materials]
-  for index in {_image_of(header['textures'][t['index']]) for t in textures if t is not None}:
+  used = [header['textures'][t['index']] for t in _base_color_textures(header)]
+  for index in {_image_of(texture) for texture in used} - {None}:
     image = header['images'][index]
     try:
       if 'uri' in image:
@@ -170,7 +169,17 @@ def _gltf_pictures(header, blob, get) -> Iterator[tuple[int, bytes]]:
       continue  # who reads the file counts what is missing
 
 
+def _base_color_textures(header):
+  """The references to textures that colours are taken from, in either model of materials."""
+  for material in header.get('materials', []):
+    older = material.get('extensions', {}).get('KHR_materials_pbrSpecularGlossiness', {})
+    for model in (material.get('pbrMetallicRoughness', {}), older):
+      for name in ('baseColorTexture', 'diffuseTexture', 'specularGlossinessTexture'):
+        if name in model:
+          yield model[name]
+
+
 def _image_of(texture):
   """The index of a texture's image, which an extension gives for WebP and Basis pictures."""
   sources = [texture, *texture.get('extensions', {}).values()]
-  return next(s['source'] for s in sources if 'source' in s)
+  return next((s['source'] for s in sources if 'source' in s), None)

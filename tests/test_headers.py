@@ -84,7 +84,7 @@ def test_triangle_strips_have_a_face_a_corner():
 
 def textured(image, **more):
   materials = [{'pbrMetallicRoughness': {'baseColorTexture': {'index': 0}}}]
-  return gltf([], materials=materials, textures=[{'source': 0}], images=[image], **more)
+  return gltf([], **{'materials': materials, 'textures': [{'source': 0}], 'images': [image]} | more)
 
 
 @pytest.mark.parametrize('where', ['data', 'buffer', 'data buffer', 'file'])
@@ -105,7 +105,18 @@ def test_pictures_of_gltf_that_cannot_be_read(where):
     check_gltf(content, files.__getitem__)
 
 
+def test_pictures_of_other_materials_and_extensions():
+  older = {'KHR_materials_pbrSpecularGlossiness': {'diffuseTexture': {'index': 0}}}
+  webp = {'EXT_texture_webp': {'source': 0}}
+  images, files = [{'uri': 'a.png'}], {'a.png': b'no picture'}
+  for extensions, texture in ((older, {'source': 0}), (older, {'extensions': webp})):
+    content = gltf([], materials=[{'extensions': extensions}], textures=[texture], images=images)
+    with pytest.raises(UserError, match='its image 0'):
+      check_gltf(content, files.__getitem__)
+
+
 def test_pictures_of_gltf_that_are_missing_or_not_used():
+  check_gltf(textured({'uri': 'a.png'}, textures=[{}]), no_files)
   check_gltf(textured({'uri': 'a.png'}), no_files)
   check_gltf(gltf([], images=[{'uri': 'normals.ktx2'}]), no_files)
 
