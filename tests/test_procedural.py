@@ -36,13 +36,18 @@ def _signed_volume(solid):
 
 
 @pytest.fixture(scope='module')
-def surfaces():
-  return {c: [_surface(m) for m in _meshes(c, 16)] for c in procedural.CATEGORIES}
+def meshes():
+  return {c: _meshes(c, 14) for c in procedural.CATEGORIES}
+
+
+@pytest.fixture(scope='module')
+def surfaces(meshes):
+  return {c: [_surface(m) for m in meshes[c]] for c in procedural.CATEGORIES}
 
 
 @pytest.mark.parametrize('category', procedural.CATEGORIES)
-def test_meshes_are_sound(category):
-  for mesh in _meshes(category, 8):
+def test_meshes_are_sound(category, meshes):
+  for mesh in meshes[category]:
     check(mesh)
     assert len(mesh.faces) < 20_000
     assert np.isfinite(mesh.corner_uv).all()
@@ -78,7 +83,7 @@ def test_ids_and_seeds_are_unique():
 
 
 def test_all_are_different(surfaces):
-  """No two of 16 share their shape and colours: coarse coloured voxels lie far apart.
+  """No two of 14 share their shape and colours: coarse coloured voxels lie far apart.
 
   The distance is the share of cells, of those that either object occupies, in which one is empty
   or the colours differ by more than a fifth of the range. Two resamplings of one object give the
@@ -106,8 +111,8 @@ def _difference(a, b):
   return differ[either].mean()
 
 
-def test_the_measure_of_difference_knows_the_same_object():
-  mesh = _meshes('chair', 1)[0]
+def test_the_measure_of_difference_knows_the_same_object(meshes):
+  mesh = meshes['chair'][0]
   points, color = _surface(mesh, 2 * SAMPLES)
   halves = [_coarse(points[k::2], color[k::2]) for k in (0, 1)]
   assert _difference(*halves) < 0.1
@@ -143,9 +148,9 @@ def test_car_lamps_are_pale_in_front_and_red_behind():
       assert near[0] > 100 and near[1] == 0, seed
 
 
-def test_tables_have_their_top_on_top():
+def test_tables_have_their_top_on_top(meshes):
   """Most of the area that looks up or down lies in the upper half."""
-  for mesh in _meshes('table', 16):
+  for mesh in meshes['table']:
     mesh = normalize(mesh)
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     level = np.abs(np.cross(b - a, c - a)[:, 1])

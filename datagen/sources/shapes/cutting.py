@@ -49,7 +49,8 @@ def exposed(corners: np.ndarray, solid: np.ndarray) -> Pieces:
     hidden = _hidden(pieces, corners, size, solid, boxes)
     some, every = hidden.any(1), hidden.all(1)
     kept.append(_pick(pieces, ~some if step > STEPS[-1] else ~every))
-    gone = every & (step < STEPS[0])  # the largest pieces may show something between the points
+    # Larger pieces may show something between the points.
+    gone = every & (_edges(pieces, corners).max(1) <= STEPS[1] * size)
     uncut[pieces.face[gone]] = False
     pieces = _pick(pieces, some & ~gone)
   kept = [_pick(p, ~uncut[p.face]) for p in kept]
@@ -85,12 +86,12 @@ def windings(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
   home = np.where(inside_grid, at[:, 0] * COLUMNS + at[:, 1], 0)
   n, k = _ragged(np.where(inside_grid, start[home + 1] - start[home], 0))
   f = member[start[home[n]] + k]
+  place = np.insert(p2, 2, 1.0, axis=1)
   for k in range(3):  # all three weights of a point in a triangle are positive
-    w = weights[k]
-    met = w[f, 0] * p2[n, 0] + w[f, 1] * p2[n, 1] + w[f, 2] > 0
+    met = np.einsum('nk,nk->n', weights[k].take(f, 0), place.take(n, 0)) > 0
     n, f = n[met], f[met]
-  point = np.insert(p2[n], 2, 1.0, axis=1)
-  depth = sum(np.einsum('nk,nk->n', weights[k][f], point) * corners[f, k, 2] for k in range(3))
+  height = np.einsum('kfc,fk->fc', weights, corners[..., 2])  # z of a face: height · (x, y, 1)
+  depth = np.einsum('nk,nk->n', height[f], place[n])
   leaves = np.sign(_cross(b2[f] - a2[f], c2[f] - a2[f])) * (depth > points[n, 2])
   return np.rint(np.bincount(n, leaves, len(points))).astype(int)
 
@@ -113,12 +114,17 @@ def _pick(pieces: Pieces, which) -> Pieces:
   return Pieces(pieces.face[which], pieces.weights[which])
 
 
+def _edges(pieces: Pieces, corners) -> np.ndarray:
+  """[P, 3] lengths of the edges from each corner to the next."""
+  points = pieces.weights @ corners[pieces.face]
+  return np.linalg.norm(np.roll(points, -1, 1) - points, axis=-1)
+
+
 def _split(pieces: Pieces, corners, longest) -> Pieces:
   """Halves pieces at the middle of their longest edge until no edge is longer."""
   done = [_pick(pieces, np.zeros(0, int))]
   while len(pieces.face):
-    points = pieces.weights @ corners[pieces.face]
-    edges = np.linalg.norm(np.roll(points, -1, 1) - points, axis=-1)
+    edges = _edges(pieces, corners)
     long = edges.max(1) > longest
     done.append(_pick(pieces, ~long))
     face, w = _pick(pieces, long)
