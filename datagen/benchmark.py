@@ -42,6 +42,7 @@ PARTS = {
   'writing': ('dataset.py', 'write_record'),
 }
 MITSUBA = 'of the views, Mitsuba'
+CALLERS = ('to_mitsuba', '_scene', '_sensor')  # of functions that the profile does not see
 
 
 class Measured(NamedTuple):
@@ -137,7 +138,7 @@ def _parts(profile):
   for (path, _, name), (_, _, own, cumulative, _) in pstats.Stats(profile).stats.items():
     total += own
     of_function[os.path.basename(path), name] = cumulative
-    if os.sep + 'mitsuba' + os.sep in path or 'mitsuba' in name or 'drjit' in name:
+    if f'{os.sep}mitsuba{os.sep}' in path or (path.endswith('render.py') and name in CALLERS):
       mitsuba += own
   parts = {part: of_function[function] for part, function in PARTS.items()}
   rest = total - sum(parts.values())

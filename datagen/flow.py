@@ -33,8 +33,8 @@ SIMILARITY = 0.1
 FIDELITY = 0.1  # of the statistics: a sampled colour this close to the voxel's is the right one
 
 _AROUND = np.array(list(itertools.product((-1, 0, 1), repeat=2)))  # the 3 x 3 pixels
-_NEIGHBOURS = (4, 32)  # pixels tried first for an occluded voxel
-_CHUNK = 64  # voxels compared with many pixels at once
+_NEIGHBOURS = 4  # pixels tried first for an occluded voxel, enough for most
+_CHUNK = 128  # voxels compared with many pixels at once
 _TOO_FAR = np.float32(1e9)  # squared pixels, more than any image has
 
 
@@ -218,14 +218,11 @@ def _closest_similar(pixel, color, centers, seen, similarity):
     chosen: [N] index of the pixel taken.
     fallback: [N] bool, no pixel is similar.
   """
-  chosen = np.full(len(pixel), -1)
-  tree, rest = cKDTree(centers), np.arange(len(pixel))
-  for count in _NEIGHBOURS:  # most voxels find a similar pixel soon
-    _, near = tree.query(pixel[rest], k=np.arange(1, min(count, len(centers)) + 1))
-    similar = _squared(seen[near] - color[rest, None]) <= similarity**2
-    found = similar.any(1)
-    chosen[rest[found]] = near[found, similar[found].argmax(1)]
-    rest = rest[~found]
+  neighbours = np.arange(1, min(_NEIGHBOURS, len(centers)) + 1)
+  _, near = cKDTree(centers).query(pixel, k=neighbours)
+  similar = _squared(seen[near] - color[:, None]) <= similarity**2
+  chosen = near[np.arange(len(pixel)), similar.argmax(1)]
+  rest = np.flatnonzero(~similar.any(1))
   limit = np.full(len(rest), similarity**2)
   chosen[rest] = _closest_within(pixel[rest], color[rest], centers, seen, limit)
   fallback = chosen < 0

@@ -65,7 +65,7 @@ def render(
     raise ValueError(f'shading {shading!r} is none of {SHADINGS}')
   mi.set_variant('scalar_rgb')
   shape = to_mitsuba(mesh)
-  scene = mi.load_dict({'type': 'scene', 'shape': shape})
+  scene = _scene(shape)
   lit_scene = _lit_scene(shape) if shading == 'lit' else None
   rgba = np.zeros((len(cameras), image_size, image_size, 4), np.uint8)
   depth = np.full((len(cameras), image_size, image_size), np.inf, np.float32)
@@ -102,6 +102,11 @@ def to_mitsuba(mesh: TexturedMesh):
   params['faces'] = faces.astype(np.uint32).ravel()
   params.update()
   return shape
+
+
+def _scene(shape):
+  """The shape alone."""
+  return mi.load_dict({'type': 'scene', 'shape': shape})
 
 
 def _sensor(camera: Camera, image_size: int, samples: int, sampler: dict, crop: Sequence[int]):

@@ -82,6 +82,11 @@ def test_plane_is_as_thick_as_its_normal_says(seed):
   grid = occupied(plate)
   assert grid[inner & (distance < limit - SLACK)].all()
   assert not grid[inner & (distance > limit + SLACK)].any()
+  # Which is one layer: of a row of voxels along the axis nearest to the normal, a single one.
+  axis = np.abs(rotation[:, 2]).argmax()
+  rows = (inner | (distance > 2)).all(axis) & (inner & (distance < limit - SLACK)).any(axis)
+  assert rows.sum() > 100
+  assert (grid.sum(axis)[rows] == 1).all()
 
 
 @pytest.mark.parametrize('seed', range(6))
