@@ -135,25 +135,22 @@ def _gradient_of(function):
 
 def _native_deconv(x, kernel, mixed):
   b, *size, _ = x.shape
-  return _call('cvn_deconv', [(b, *(2 * s for s in size), kernel.shape[-1])], mixed, x, kernel)[0]
+  shape = (b, *(2 * s for s in size), kernel.shape[-1])
+  return native.call('cvn_deconv', [shape], x, kernel, mixed=mixed)[0]
 
 
 def _native_deconv_gradient(x, kernel, dy, mixed):
   shapes = [x.shape, (len(x), *kernel.shape)]
-  dx, dkernel = _call('cvn_deconv_gradient', shapes, mixed, x, kernel, dy)
+  dx, dkernel = native.call('cvn_deconv_gradient', shapes, x, kernel, dy, mixed=mixed)
   return dx, dkernel.sum(0)
 
 
 def _native_conv(x, kernel, mixed):
-  return _call('cvn_conv', [(*x.shape[:-1], kernel.shape[-1])], mixed, x, kernel)[0]
+  shape = (*x.shape[:-1], kernel.shape[-1])
+  return native.call('cvn_conv', [shape], x, kernel, mixed=mixed)[0]
 
 
 def _native_conv_gradient(x, kernel, dy, mixed):
   shapes = [x.shape, (len(x), kernel.shape[-1], *kernel.shape[:-1])]
-  dx, dkernel = _call('cvn_conv_gradient', shapes, mixed, x, kernel, dy)
+  dx, dkernel = native.call('cvn_conv_gradient', shapes, x, kernel, dy, mixed=mixed)
   return dx, jnp.moveaxis(dkernel.sum(0), 0, -1)
-
-
-def _call(name, shapes, mixed, *arrays):
-  results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
-  return jax.ffi.ffi_call(name, results)(*arrays, mixed=mixed)

@@ -79,8 +79,10 @@ class Scratch {
       std::memset(memory_.data(), 0, bytes);
     }
   }
-  ~Scratch() { Kept().push_back(std::move(memory_)); }
-  Scratch(const Scratch&) = delete;
+  ~Scratch() {
+    if (memory_.size()) Kept().push_back(std::move(memory_));
+  }
+  Scratch(Scratch&& other) : memory_(std::move(other.memory_)) {}
   T* data() { return reinterpret_cast<T*>(memory_.data()); }
   T& operator[](int64_t i) { return data()[i]; }
 
@@ -832,6 +834,144 @@ void ConvGradients(const Volume& s, const float* in, const float* w, const float
 }
 
 // ------------------------------------------------------------------------------------------------
+// Batch normalisation and the activation after it, of maps [B, ..., C]: y = f(gain x + offset).
+//
+// A map is read as vectors of 16 floats, whatever C is: after a period of lcm(C, 16) floats the
+// channels come round again. Sums are a sample's; over its pieces they are made in double.
+
+enum Activation : int64_t { kIdentity = 0, kElu = 1, kSigmoid = 2 };
+typedef int32_t Ints __attribute__((vector_size(64)));
+
+Vec Select(Ints mask, Vec a, Vec b) {
+  return reinterpret_cast<Vec>((mask & reinterpret_cast<Ints>(a)) |
+                               (~mask & reinterpret_cast<Ints>(b)));
+}
+
+// e^x to two units in the last place: 2^n e^r, |r| <= ln(2) / 2, and Taylor's polynomial.
+Vec Exp(Vec x) {
+  x = Select(x < -87.0f, Vec{} - 87.0f, x);
+  x = Select(x > 88.0f, Vec{} + 88.0f, x);
+  const float kShift = 12582912.0f;  // 1.5 2^23: adding it rounds to a whole number
+  const Vec shifted = x * 1.44269504f + kShift;
+  const Vec n = shifted - kShift;
+  const Vec r = x - n * 0.693359375f + n * 2.12194440e-4f;
+  Vec p = r * (1.0f / 5040) + 1.0f / 720;
+  p = p * r + 1.0f / 120;
+  p = p * r + 1.0f / 24;
+  p = p * r + 1.0f / 6;
+  p = p * r + 0.5f;
+  p = p * (r * r) + r + 1.0f;
+  const Ints power = reinterpret_cast<Ints>(shifted) << 23;  // n in the lowest bits
+  return reinterpret_cast<Vec>(reinterpret_cast<Ints>(p) + power);
+}
+
+// Value and slope of an activation.
+template <Activation kActivation>
+void Activate(Vec v, Vec* value, Vec* slope) {
+  const Vec one = Vec{} + 1.0f;
+  if constexpr (kActivation == kElu) {
+    const Vec e = Exp(Select(v > 0.0f, Vec{}, v));
+    *value = Select(v > 0.0f, v, e - one);
+    *slope = e;  // 1 above 0
+  } else if constexpr (kActivation == kSigmoid) {
+    *value = one / (one + Exp(-v));
+    *slope = *value * (one - *value);
+  } else {
+    *value = v;
+    *slope = one;
+  }
+}
+
+template <typename F>
+void WithActivation(int64_t activation, const F& f) {
+  switch (activation) {
+    case kElu: return f(std::integral_constant<Activation, kElu>());
+    case kSigmoid: return f(std::integral_constant<Activation, kSigmoid>());
+    default: return f(std::integral_constant<Activation, kIdentity>());
+  }
+}
+
+constexpr int64_t kPiece = 1 << 15;  // floats handled at a time, about
+
+// A map's pieces: whole periods of one sample, so that each begins with channel 0.
+struct Pieces {
+  int64_t samples, channels, size;  // floats of a sample
+  int64_t period, piece, count;     // floats, floats, pieces of a sample
+
+  Pieces(const Array& x)
+      : samples(x.dimensions()[0]),
+        channels(x.dimensions().back()),
+        size(static_cast<int64_t>(x.element_count()) / std::max<int64_t>(samples, 1)) {
+    for (period = kLanes; period % channels;) period += kLanes;
+    piece = RoundUp(kPiece, period);
+    count = (size + piece - 1) / piece;
+  }
+
+  // Each channel's value, repeated over a period.
+  Scratch<float> Repeat(const float* values) const {
+    Scratch<float> repeated(period);
+    for (int64_t i = 0; i < period; ++i) repeated[i] = values[i % channels];
+    return repeated;
+  }
+
+  // Calls f(vector's place in the map, its place in the period, its floats: 16 or the rest).
+  template <typename F>
+  void ForVectors(int64_t sample, int64_t index, const F& f) const {
+    const int64_t first = index * piece, last = std::min(first + piece, size);
+    int64_t phase = 0;
+    for (int64_t i = first; i < last; i += kLanes) {
+      f(sample * size + i, phase, std::min(kLanes, last - i));
+      phase = phase + kLanes == period ? 0 : phase + kLanes;
+    }
+  }
+};
+
+Vec LoadSome(const float* p, int64_t n) {
+  if (n == kLanes) return Load(p);
+  Vec v = {};
+  std::memcpy(&v, p, n * sizeof(float));
+  return v;
+}
+
+void StoreSome(float* p, Vec v, int64_t n) {
+  if (n == kLanes) {
+    Store(p, v);
+  } else {
+    std::memcpy(p, &v, n * sizeof(float));
+  }
+}
+
+// Two sums over each sample's places, by channel: `sums` is [B, 2, C], f(place, phase, floats, first,
+// second) adds to vectors.
+template <typename F>
+void SumTwo(const Pieces& p, ffi::ThreadPool& pool, float* sums, const F& f) {
+  Scratch<double> parts(p.samples * p.count * 2 * p.channels);
+  ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
+    Scratch<float> first(p.period), second(p.period);
+    p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
+      Vec a = Load(&first[phase]), b = Load(&second[phase]);
+      f(at, phase, n, &a, &b);
+      Store(&first[phase], a);
+      Store(&second[phase], b);
+    });
+    double* part = &parts[item * 2 * p.channels];
+    for (int64_t i = 0; i < p.period; ++i) {
+      part[i % p.channels] += first[i];
+      part[p.channels + i % p.channels] += second[i];
+    }
+  });
+  for (int64_t sample = 0; sample < p.samples; ++sample) {
+    for (int64_t c = 0; c < 2 * p.channels; ++c) {
+      double sum = 0;
+      for (int64_t i = 0; i < p.count; ++i) {
+        sum += parts[(sample * p.count + i) * 2 * p.channels + c];
+      }
+      sums[sample * 2 * p.channels + c] = static_cast<float>(sum);
+    }
+  }
+}
+
+// ------------------------------------------------------------------------------------------------
 // What XLA calls.
 
 Volume VolumeOf(const Array& x, const Array& w) {
@@ -878,8 +1018,110 @@ ffi::Error ConvGradient(ffi::ThreadPool pool, Array z, Array w, Array dout, Resu
   return ffi::Error::Success();
 }
 
+// Sums of x and of x squared.
+ffi::Error Moments(ffi::ThreadPool pool, Array x, Result sums) {
+  const float* in = x.typed_data();
+  SumTwo(Pieces(x), pool, sums->typed_data(),
+         [&](int64_t at, int64_t, int64_t n, Vec* first, Vec* second) {
+           const Vec v = LoadSome(in + at, n);
+           *first += v;
+           *second += v * v;
+         });
+  return ffi::Error::Success();
+}
+
+ffi::Error Activated(ffi::ThreadPool pool, Array x, Array gain, Array offset, Result y,
+                     int64_t activation) {
+  const Pieces p(x);
+  Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
+  const float* in = x.typed_data();
+  float* out = y->typed_data();
+  WithActivation(activation, [&](auto kind) {
+    ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
+      p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
+        Vec value, slope;
+        Activate<kind>(LoadSome(in + at, n) * Load(&g[phase]) + Load(&o[phase]), &value, &slope);
+        StoreSome(out + at, value, n);
+      });
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// Sums of dz and of dz x, for dz = dy f'(gain x + offset).
+ffi::Error GradientSums(ffi::ThreadPool pool, Array x, Array dy, Array gain, Array offset,
+                        Result sums, int64_t activation) {
+  const Pieces p(x);
+  Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
+  const float *in = x.typed_data(), *din = dy.typed_data();
+  WithActivation(activation, [&](auto kind) {
+    SumTwo(p, pool, sums->typed_data(),
+           [&](int64_t at, int64_t phase, int64_t n, Vec* first, Vec* second) {
+             const Vec v = LoadSome(in + at, n);
+             Vec value, slope;
+             Activate<kind>(v * Load(&g[phase]) + Load(&o[phase]), &value, &slope);
+             const Vec dz = LoadSome(din + at, n) * slope;
+             *first += dz;
+             *second += dz * v;
+           });
+  });
+  return ffi::Error::Success();
+}
+
+// dx = gain dz + slope x + constant.
+ffi::Error InputGradient(ffi::ThreadPool pool, Array x, Array dy, Array gain, Array offset,
+                         Array slope, Array constant, Result dx, int64_t activation) {
+  const Pieces p(x);
+  Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
+  Scratch<float> s = p.Repeat(slope.typed_data()), c = p.Repeat(constant.typed_data());
+  const float *in = x.typed_data(), *din = dy.typed_data();
+  float* out = dx->typed_data();
+  WithActivation(activation, [&](auto kind) {
+    ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
+      p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
+        const Vec v = LoadSome(in + at, n), gained = Load(&g[phase]);
+        Vec value, f;
+        Activate<kind>(v * gained + Load(&o[phase]), &value, &f);
+        StoreSome(out + at,
+                  gained * (LoadSome(din + at, n) * f) + Load(&s[phase]) * v + Load(&c[phase]), n);
+      });
+    });
+  });
+  return ffi::Error::Success();
+}
+
 }  // namespace
 
+XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_moments, Moments,
+                              ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().Arg<Array>().Ret<Array>());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_activated, Activated,
+                              ffi::Ffi::Bind()
+                                  .Ctx<ffi::ThreadPool>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Ret<Array>()
+                                  .Attr<int64_t>("activation"));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_gradient_sums, GradientSums,
+                              ffi::Ffi::Bind()
+                                  .Ctx<ffi::ThreadPool>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Ret<Array>()
+                                  .Attr<int64_t>("activation"));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_input_gradient, InputGradient,
+                              ffi::Ffi::Bind()
+                                  .Ctx<ffi::ThreadPool>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Arg<Array>()
+                                  .Ret<Array>()
+                                  .Attr<int64_t>("activation"));
 XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_deconv, Deconv,
                               ffi::Ffi::Bind()
                                   .Ctx<ffi::ThreadPool>()

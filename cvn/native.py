@@ -15,13 +15,24 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import jaxlib
 from absl import logging
 
 SOURCE = pathlib.Path(__file__).with_name('kernels.cc')
-KERNELS = ('cvn_deconv', 'cvn_deconv_gradient', 'cvn_conv', 'cvn_conv_gradient')
+KERNELS = (
+  'cvn_deconv',
+  'cvn_deconv_gradient',
+  'cvn_conv',
+  'cvn_conv_gradient',
+  'cvn_moments',
+  'cvn_activated',
+  'cvn_gradient_sums',
+  'cvn_input_gradient',
+)
 _COMPILERS = ('c++', 'g++', 'clang++')
 _FLAGS = ('-std=c++17', '-O3', '-shared', '-fPIC', '-Wno-psabi')
 
@@ -42,6 +53,22 @@ def available() -> bool:
     )
     return False
   return True
+
+
+def call(name: str, shapes: Sequence[tuple[int, ...]], *arrays: jax.Array, **attributes):
+  """Calls a kernel on a CPU.
+
+  Args:
+    name: one of `KERNELS`.
+    shapes: of the results, all float32.
+    *arrays: float32.
+    **attributes: bool or numpy integers.
+
+  Returns:
+    The list of results.
+  """
+  results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+  return jax.ffi.ffi_call(name, results)(*arrays, **attributes)
 
 
 def build(folder: pathlib.Path | None = None) -> pathlib.Path:
