@@ -1,13 +1,17 @@
 """Colour voxelisation: which voxels a surface occupies, and the colour of the surface in each.
 
 After Huang, Yagel, Filippov and Kurzion, "An Accurate Method for Voxelizing Polygon Meshes" (1998),
-with lengths in voxels (L = 1). A voxel is occupied when its centre lies
-  * above or below a face, within t of its plane, or
-  * within R_c of an edge (a cylinder) or of a vertex (a sphere),
+with lengths in voxels (L = 1). A voxel is occupied when its centre lies, of some face,
+  * within R_c of it, its edges and its vertices, and
+  * within t of its plane,
 with their constants for 6-separation, the thinnest there is: R_c = 1/2 and t = cos(b) / 2, where b
 is the angle between the face's normal and the nearest axis. No path of steps from voxel to face
-neighbour crosses a closed surface without meeting an occupied voxel. (Paths that also step to edge
-and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a shell 1.7 times as thick.)
+neighbour crosses a closed surface without meeting an occupied voxel: where a step along an axis
+crosses a face, one of its ends is within 1/2 of the crossing, and so within t of the plane. (Paths
+that also step to edge and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a
+shell 1.7 times as thick.) In the paper edges count without the second condition; with it, however
+finely its faces are cut, a flat sheet is one layer: in each row of voxels along the axis nearest to
+its normal, a single one.
 So every occupied centre is within 1/2 voxel of the surface, hence every occupied voxel is touched
 by it, and every centre within 1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
 
@@ -125,8 +129,10 @@ def _claim_near_faces(claims, mesh, corners, size):
     along = height.astype(np.int64)[:, None] + np.array([[-1, 0, 1]])
     np.put_along_axis(voxel, w[f][:, None, None], along[..., None], -1)
     voxel, f = voxel.reshape(-1, 3), np.repeat(f, 3)
-    distance, inside, barycentric = _nearest(voxel - a[f], ab[f], ac[f], normal[f], has_inside[f])
-    ok = distance <= np.where(inside, limit[f], 0.5) + EPSILON
+    q = voxel - a[f]
+    distance, barycentric = _nearest(q, ab[f], ac[f], normal[f], has_inside[f])
+    ok = distance <= 0.5 + EPSILON
+    ok &= (np.abs(_dot(q, normal[f])) <= limit[f] + EPSILON) | ~has_inside[f]
     _claim(claims, mesh, size, voxel[ok], distance[ok], f[ok], barycentric[ok])
 
 
@@ -134,7 +140,7 @@ def _nearest(q, ab, ac, normal, has_inside):
   """The nearest points of triangles (0, ab, ac) to points q, all [N, 3].
 
   Returns:
-    (distance [N], whether the point is inside the triangle [N], barycentric [N, 3]).
+    (distance [N], barycentric [N, 3]).
   """
   d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
   d20, d21, qq = _dot(q, ab), _dot(q, ac), _dot(q, q)
@@ -155,7 +161,7 @@ def _nearest(q, ab, ac, normal, has_inside):
   distance = np.where(inside, np.abs(_dot(q, normal)), np.sqrt(np.maximum(squared.min(0), 0)))
   v = np.where(inside, v, np.choose(edge, [t[0], 0 * t[0], 1 - t[2]]))
   w = np.where(inside, w, np.choose(edge, [0 * t[1], t[1], t[2]]))
-  return distance, inside, np.stack([1 - v - w, v, w], -1)
+  return distance, np.stack([1 - v - w, v, w], -1)
 
 
 def _claim_thin_rods(claims, mesh, corners, size):

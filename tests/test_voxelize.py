@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, index_to_world
+from datagen.benchmark import lumpy_ball
 from datagen.from_trimesh import from_trimesh
 from datagen.mesh import TexturedMesh, normalize
 from datagen.voxelize import voxelize
@@ -66,26 +67,27 @@ def test_tilted_box_lies_within_its_stated_distances(seed):
   assert grid[distance <= NEAR - SLACK].all()
 
 
+@pytest.mark.parametrize('cuts', [0, 3, 6])
 @pytest.mark.parametrize('seed', range(3))
-def test_plane_is_as_thick_as_its_normal_says(seed):
-  """Far from its rim a plane holds the centres within cos(b) / 2, no more and no less."""
-  plate = trimesh.Trimesh(
+def test_sheet_is_one_layer(seed, cuts):
+  """Far from its rim a sheet holds the centres within cos(b) / 2, however finely it is cut."""
+  sheet = trimesh.Trimesh(
     [[-0.3, -0.3, 0], [0.3, -0.3, 0], [0.3, 0.3, 0], [-0.3, 0.3, 0]], [[0, 1, 2], [0, 2, 3]]
   )
-  plate, rotation, shift = turned(plate, seed)
+  for _ in range(cuts):
+    sheet = sheet.subdivide()
+  sheet, rotation, shift = turned(sheet, seed)
   local = (CENTERS - shift) @ rotation
-  # The diagonal is an edge, which holds what is within 1/2 voxel of it.
-  diagonal = np.abs(local[..., 0] - local[..., 1]) / np.sqrt(2)
-  inner = (np.abs(local[..., :2]).max(-1) < 0.28) & (diagonal > 1 / GRID_SIZE)
+  inner = np.abs(local[..., :2]).max(-1) < 0.28
   distance = np.abs(local[..., 2]) * GRID_SIZE
   limit = np.abs(rotation[:, 2]).max() / 2
-  grid = occupied(plate)
+  grid = occupied(sheet)
   assert grid[inner & (distance < limit - SLACK)].all()
   assert not grid[inner & (distance > limit + SLACK)].any()
-  # Which is one layer: of a row of voxels along the axis nearest to the normal, a single one.
+  # Which is a single voxel in each row along the axis nearest to the normal.
   axis = np.abs(rotation[:, 2]).argmax()
-  rows = (inner | (distance > 2)).all(axis) & (inner & (distance < limit - SLACK)).any(axis)
-  assert rows.sum() > 100
+  rows = (inner & (distance < 0.6)).any(axis) & ~(~inner & (distance < 0.6)).any(axis)
+  assert rows.sum() > 500
   assert (grid.sum(axis)[rows] == 1).all()
 
 
@@ -97,6 +99,17 @@ def test_no_flood_enters_a_closed_box(half, seed):
   inner = box_distance((CENTERS - shift) @ rotation, np.array(half)) * GRID_SIZE < -FAR - SLACK
   assert inner.any()
   assert not (outside(grid) & inner).any()
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('faces', [200, 20000])
+def test_no_flood_enters_a_lumpy_ball(faces, seed):
+  mesh = lumpy_ball(faces, 1)
+  rotation = Rotation.random(random_state=seed).as_matrix()
+  grid = occupied(normalize(mesh._replace(vertices=mesh.vertices @ rotation.T)))
+  flooded = outside(grid)
+  assert not flooded[31:33, 31:33, 31:33].any()
+  assert (~flooded & ~grid).sum() > 20000  # it is all of the inside
 
 
 @pytest.mark.parametrize('subdivisions', [1, 4])
