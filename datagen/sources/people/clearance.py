@@ -72,7 +72,7 @@ def segment_distance(p, q, u, v) -> float:
   a, b, c, f, g = d @ d, d @ e, d @ r, e @ r, e @ e
   over = a * g - b * b
   s = np.clip((b * f - c * g) / over, 0, 1) if over > 1e-12 else 0.0
-  t = (b * s + f) / g if g > 0 else 0.0
+  t = (b * s + f) / g if g > 0 else -1.0  # of a point, either end will do
   if not 0 <= t <= 1:
     t = float(np.clip(t, 0, 1))
     s = np.clip((b * t - c) / a, 0, 1) if a > 0 else 0.0
