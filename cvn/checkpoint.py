@@ -26,6 +26,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
+_BEFORE = {'dtype': 'float32'}  # what runs did that were begun before there was a setting
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
@@ -44,11 +45,11 @@ def start(workdir: str, config: dict[str, Any]) -> None:
     with files.atomic_write(path) as temporary, open(temporary, 'w') as f:
       f.write(json.dumps(config, indent=1) + '\n')
     return
-  old = read_config(workdir)
-  for name in config | old:
-    if old.get(name) != config.get(name):
+  old, new = _BEFORE | read_config(workdir), _BEFORE | config
+  for name in new | old:
+    if old.get(name) != new.get(name):
       raise UserError(
-        f'{workdir} was begun with {name}={old.get(name)}, not {config.get(name)}:'
+        f'{workdir} was begun with {name}={old.get(name)}, not {new.get(name)}:'
         f' keep {name} as it was, or take another workdir'
       )
 

@@ -32,9 +32,10 @@ def make_batch(seed=0, size=2):
   )
 
 
+@pytest.mark.parametrize('mixed', [False, True])
 @pytest.mark.parametrize('kind', ['shape', 'color'])
-def test_a_few_steps_lower_the_loss_with_one_trace(kind):
-  step = make_step(kind, PAPER)
+def test_a_few_steps_lower_the_loss_with_one_trace(kind, mixed):
+  step = make_step(kind, PAPER, mixed=mixed)
   state = train.create_state(jax.random.key(0), kind)
   batch, found = make_batch(), []
   for _ in range(3):
@@ -44,6 +45,7 @@ def test_a_few_steps_lower_the_loss_with_one_trace(kind):
   assert found[2] < found[0]
   assert step._cache_size() == 1
   assert int(state.step) == 3
+  assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(state.params))
 
 
 def test_color_loss_sees_only_surface_voxels():

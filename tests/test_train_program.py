@@ -43,8 +43,8 @@ def loss_of(params, batch):
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
-def make_step(kind, recipe, *, learning_rate=None):
-  del kind, recipe
+def make_step(kind, recipe, *, learning_rate=None, mixed=False):
+  del kind, recipe, mixed
   optimizer = optax.adam(learning_rate or 3e-4)
 
   @jax.jit
@@ -262,7 +262,12 @@ def test_nan_stops_and_is_not_saved(made, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
   ('changed', 'name'),
-  [('--batch_size=4', 'batch_size'), ('--recipe=release', 'recipe'), ('--seed=3', 'seed')],
+  [
+    ('--batch_size=4', 'batch_size'),
+    ('--recipe=release', 'recipe'),
+    ('--dtype=mixed', 'dtype'),
+    ('--seed=3', 'seed'),
+  ],
 )
 def test_another_setting_is_refused(made, tmp_path, changed, name):
   run(made, tmp_path / 'run', epochs=1)
@@ -274,6 +279,30 @@ def test_the_other_network_in_the_workdir_is_refused(made, tmp_path):
   run(made, tmp_path / 'run', epochs=1)
   with pytest.raises(UserError, match='was begun with network=shape, not color'):
     run(made, tmp_path / 'run', network='color')
+
+
+def test_a_run_begun_before_there_was_a_dtype_goes_on_in_float32(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=1)
+  path = tmp_path / 'run' / 'config.json'
+  config = json.loads(path.read_text())
+  assert config.pop('dtype') == 'float32'
+  path.write_text(json.dumps(config))
+  with pytest.raises(UserError, match='was begun with dtype=float32, not mixed'):
+    run(made, tmp_path / 'run', '--dtype=mixed')
+  assert run(made, tmp_path / 'run') == 0
+
+
+@pytest.mark.parametrize('dtype', program.DTYPES)
+def test_dtype_reaches_the_step(made, tmp_path, monkeypatch, dtype):
+  asked = []
+
+  def make(*args, mixed, **kwargs):
+    asked.append(mixed)
+    return make_step(*args, **kwargs)
+
+  monkeypatch.setattr(program.train, 'make_step', make)
+  run(made, tmp_path / 'run', f'--dtype={dtype}', epochs=1)
+  assert asked == [dtype == 'mixed']
 
 
 def test_too_few_models(made, tmp_path):
@@ -310,6 +339,7 @@ def test_out_of_memory(made, tmp_path, monkeypatch):
   [
     '--network=both',
     '--recipe=mine',
+    '--dtype=float16',
     '--epochs=0',
     '--batch_size=0',
     '--batch_size=x',
@@ -417,15 +447,20 @@ def test_program_prints_one_line(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('network', 'recipe'), [('shape', 'paper'), ('color', 'release')])
-def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe):
-  """Four steps, and two and two, with validation and pictures."""
-  flag = f'--recipe={recipe}'
-  run(made, tmp_path / 'whole', flag, network=network, epochs=2)
-  run(made, tmp_path / 'parts', flag, network=network, epochs=1)
-  run(made, tmp_path / 'parts', flag, network=network, epochs=2)
+@pytest.mark.parametrize(
+  ('network', 'recipe', 'dtype'), [('shape', 'paper', 'mixed'), ('color', 'release', 'float32')]
+)
+def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe, dtype):
+  """Four steps, and two and two, with validation and pictures; any dtype's network can be used."""
+  chosen = f'--recipe={recipe}', f'--dtype={dtype}'
+  run(made, tmp_path / 'whole', *chosen, network=network, epochs=2)
+  run(made, tmp_path / 'parts', *chosen, network=network, epochs=1)
+  run(made, tmp_path / 'parts', *chosen, network=network, epochs=2)
   whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
   assert parts.read_bytes() == whole.read_bytes()
   _, expected = checkpoint.load_network(str(tmp_path / 'whole'), network)
   _, got = checkpoint.load_network(str(tmp_path / 'parts'), network)
   jax.tree.map(np.testing.assert_array_equal, got, expected)
+  estimate = getattr(program.reconstruct, f'estimate_{network}')
+  estimated = jax.tree.leaves(estimate(got, np.zeros((1, 128, 128, 4), np.float32)))
+  assert all(x.dtype == jnp.float32 and np.isfinite(x).all() for x in estimated)

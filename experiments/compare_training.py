@@ -1,0 +1,161 @@
+r"""Trains the networks in float32 and in mixed precision, from the same seed, and compares them.
+
+python -m experiments.compare_training --data=DIR --workdir=DIR [--epochs=12] [--quick]
+
+Each training is a run of experiments.train in WORKDIR/<network>_<variant>_<seed>, with the same
+first parameters and the same batches whatever the variant; experiments.evaluate then judges it on
+held-out models: shapes by their IoU, colours by their PSNR on the true shapes. Each goes on where
+it stopped, so the same command resumes an interrupted comparison. Prints a table, with the wall
+time of each training, and draws the loss curves to WORKDIR/loss.png. Several --seeds tell how much
+of a difference is chance.
+"""
+
+import json
+import os
+from typing import Any, NamedTuple
+
+import matplotlib.figure
+from absl import flags
+
+from cvn import errors
+from cvn.files import atomic_write
+from experiments.demo import read_bytes, read_json, run_program, seconds_file
+
+VARIANTS = {'float32': {'dtype': 'float32'}, 'mixed': {'dtype': 'mixed'}}
+MEASURES = {
+  'shape': (('iou', 'IoU', '.3f'),),
+  'color': (('psnr_rgb', 'PSNR RGB', '.2f'), ('psnr_ycbcr', 'PSNR YCbCr', '.2f')),
+}
+VALIDATION_VIEWS = 36
+
+
+class Training(NamedTuple):
+  """What is known of a finished run."""
+
+  network: str
+  variant: str
+  seed: str
+  curve: list[tuple[float, float]]  # (epoch, mean loss of the steps of that epoch)
+  validated: list[tuple[float, float]]  # (epoch, loss on the split val)
+  measured: dict[str, float | None]  # on the split test
+  seconds: float
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  own = {'flag_values': f}
+  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'The folder for all that is made.', **own)
+  flags.DEFINE_multi_enum('network', [*MEASURES], [*MEASURES], 'The networks to train.', **own)
+  flags.DEFINE_multi_enum('variant', [*VARIANTS], [*VARIANTS], 'How to train them.', **own)
+  flags.DEFINE_integer('epochs', 12, 'Of each training.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 12, 'Views a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', 1e-3, "Higher than the paper's: time is short.", 0, **own)
+  flags.DEFINE_list('seeds', ['0'], 'Of everything random; one training each.', **own)
+  flags.DEFINE_bool('quick', False, 'One epoch: whether it works, not how well.', **own)
+  flags.mark_flags_as_required(['data', 'workdir'], f)
+
+
+def main(_) -> None:
+  run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> None:
+  """Trains, evaluates, prints and draws as the flags say."""
+  trainings = [
+    train(f, network, variant, seed)
+    for network in f.network
+    for seed in f.seeds
+    for variant in f.variant
+  ]
+  print('\n' + to_table(trainings))
+  path = os.path.join(f.workdir, 'loss.png')
+  draw(trainings, path)
+  print(f'\nloss curves: {path}')
+
+
+def train(f: flags.FlagValues, network: str, variant: str, seed: str) -> Training:
+  """Trains and evaluates one network, or what is missing of it."""
+  epochs = 1 if f.quick else f.epochs
+  name = f'{network}_{variant}_{seed}'
+  workdir, report = (os.path.join(f.workdir, n) for n in (name, f'{name}.json'))
+  command = run_program(
+    to_arguments(
+      'experiments.train',
+      network=network,
+      data=f.data,
+      workdir=workdir,
+      epochs=epochs,
+      batch_size=f.batch_size,
+      learning_rate=f.learning_rate,
+      seed=seed,
+      log_every=10**6,  # then a line is an epoch's
+      validate_every=max(1, epochs // 6),
+      validation_views=VALIDATION_VIEWS,
+      **VARIANTS[variant],
+    ),
+    f.workdir,
+  )
+  run_program(
+    to_arguments('experiments.evaluate', data=f.data, json=report, **{network: workdir}), f.workdir
+  )
+  lines = [json.loads(x) for x in read_bytes(os.path.join(workdir, 'log.jsonl')).splitlines()]
+  measured = read_json(report)['networks']['total']
+  return Training(
+    network,
+    variant,
+    seed,
+    [(x['epoch'], x['loss']) for x in lines if 'loss' in x],
+    [(x['epoch'], x['validation']['loss']) for x in lines if 'validation' in x],
+    {key: measured[key] for key, *_ in MEASURES[network]},
+    read_json(seconds_file(f.workdir))[command],
+  )
+
+
+def to_arguments(program: str, **named: Any) -> list[str]:
+  """A program's name and its flags."""
+  return [program, *(f'--{k}={v}' for k, v in named.items())]
+
+
+def to_table(trainings: list[Training]) -> str:
+  """A Markdown table: a row a training, the measures on held-out models."""
+  lines = [
+    '| network | variant | seed | loss, last epoch | on val | on test | training |',
+    '| --- | --- | --- | --- | --- | --- | --- |',
+  ]
+  for t in trainings:
+    measured = ', '.join(
+      f'{title} {"none" if t.measured[key] is None else format(t.measured[key], form)}'
+      for key, title, form in MEASURES[t.network]
+    )
+    validated = f'{t.validated[-1][1]:.4f}' if t.validated else 'none'
+    lines.append(
+      f'| {t.network} | {t.variant} | {t.seed} | {t.curve[-1][1]:.4f} | {validated} | {measured}'
+      f' | {t.seconds / 60:.1f} min |'
+    )
+  return '\n'.join(lines)
+
+
+def draw(trainings: list[Training], path: str) -> None:
+  """Loss over epochs, a panel a network: lines in training, points on the split val."""
+  networks = list(dict.fromkeys(t.network for t in trainings))
+  variants = list(dict.fromkeys(t.variant for t in trainings))
+  figure = matplotlib.figure.Figure(figsize=(4.4 * len(networks), 3), dpi=90, layout='constrained')
+  for axes, network in zip(
+    figure.subplots(1, len(networks), squeeze=False)[0], networks, strict=True
+  ):
+    for t in (t for t in trainings if t.network == network):
+      color = f'C{variants.index(t.variant)}'
+      label = t.variant if t.seed == trainings[0].seed else None
+      axes.plot(*zip(*t.curve, strict=True), color=color, label=label, linewidth=1.2)
+      if t.validated:
+        axes.plot(*zip(*t.validated, strict=True), 'o', color=color, markersize=3)
+    axes.set(title=f'{network} network', xlabel='epoch', ylabel='loss', yscale='log')
+    axes.legend(frameon=False)
+  with atomic_write(path) as temporary:
+    figure.savefig(temporary, format='png')
+
+
+if __name__ == '__main__':
+  define_flags(flags.FLAGS)
+  errors.run(main)
