@@ -6,7 +6,8 @@ framework. Which program computes them is decided when the function is lowered: 
 compiled kernels (cvn/native.py) or, where these are missing, matrix products (cvn/phases.py);
 elsewhere the library's convolution. Derivatives are those of the same program.
 
-With `mixed`, the factors of every product are rounded to bfloat16; sums and results are float32.
+Kernels are float32, and so is every sum. Where the input is bfloat16, so are all factors of
+products; results and gradients of volumes have the type of the volume.
 """
 
 import functools
@@ -21,27 +22,37 @@ _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def deconv(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
+def deconv(x: jax.Array, kernel: jax.Array, dtype=None) -> jax.Array:
   """Stride-2 transposed convolution: [B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, out].
 
   Args:
-    x: [B, X, Y, Z, in] float32.
+    x: [B, X, Y, Z, in] float32 or bfloat16.
     kernel: [3, 3, 3, in, out] float32.
-    mixed: whether products are of bfloat16.
+    dtype: of the result; None for that of `x`.
   """
-  return _by_platform(_native_deconv, phases.deconv, library_deconv, mixed, x, kernel)
+
+  def kernels(x, kernel):
+    b, *size, _ = x.shape
+    result = jax.ShapeDtypeStruct((b, *(2 * s for s in size), kernel.shape[-1]), dtype or x.dtype)
+    return native.call('cvn_deconv', [result], x, kernel)[0]
+
+  return _by_platform(kernels, phases.deconv, library_deconv, dtype, x, kernel)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def conv(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
-  """Convolution with zeros around: [B, X, Y, Z, in] -> [B, X, Y, Z, out].
+@functools.partial(jax.custom_vjp, nondiff_argnums=())
+def conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
+  """Convolution with zeros around: [B, X, Y, Z, in] -> [B, X, Y, Z, out] float32.
 
   Args:
-    x: [B, X, Y, Z, in] float32.
+    x: [B, X, Y, Z, in] float32 or bfloat16.
     kernel: [3, 3, 3, in, out] float32.
-    mixed: whether products are of bfloat16.
   """
-  return _by_platform(_native_conv, phases.conv, library_conv, mixed, x, kernel)
+
+  def kernels(x, kernel):
+    result = jax.ShapeDtypeStruct((*x.shape[:-1], kernel.shape[-1]), jnp.float32)
+    return native.call('cvn_conv', [result], x, kernel)[0]
+
+  return _by_platform(kernels, phases.conv, library_conv, jnp.float32, x, kernel)
 
 
 def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
@@ -53,104 +64,82 @@ def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
     [(2, 1)] * 3,
     lhs_dilation=(2, 2, 2),
     dimension_numbers=_DIMENSIONS,
-    preferred_element_type=jnp.float32,
   )
 
 
 def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
   """The same as the library has it."""
-  return lax.conv_general_dilated(
-    x,
-    kernel,
-    (1, 1, 1),
-    'SAME',
-    dimension_numbers=_DIMENSIONS,
-    preferred_element_type=jnp.float32,
-  )
+  return lax.conv_general_dilated(x, kernel, (1, 1, 1), 'SAME', dimension_numbers=_DIMENSIONS)
 
 
-def _deconv_forward(x, kernel, mixed):
-  return deconv(x, kernel, mixed), (x, kernel)
+def _deconv_forward(x, kernel, dtype):
+  return deconv(x, kernel, dtype), (x, kernel)
 
 
-def _deconv_backward(mixed, residuals, dy):
-  return _by_platform(
-    _native_deconv_gradient,
-    _gradient_of(phases.deconv),
-    _gradient_of(library_deconv),
-    mixed,
-    *residuals,
-    dy,
-  )
+def _deconv_backward(dtype, residuals, dy):
+  del dtype
+
+  def kernels(x, kernel, dy):
+    results = [_like(x), jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)]
+    dx, dkernel = native.call('cvn_deconv_gradient', results, x, kernel, dy)
+    return dx, dkernel.sum(0)
+
+  return _gradient_by_platform(kernels, phases.deconv, library_deconv, *residuals, dy)
 
 
-def _conv_forward(x, kernel, mixed):
-  return conv(x, kernel, mixed), (x, kernel)
+def _conv_forward(x, kernel):
+  return conv(x, kernel), (x, kernel)
 
 
-def _conv_backward(mixed, residuals, dy):
-  return _by_platform(
-    _native_conv_gradient,
-    _gradient_of(phases.conv),
-    _gradient_of(library_conv),
-    mixed,
-    *residuals,
-    dy,
-  )
+def _conv_backward(residuals, dy):
+  def kernels(x, kernel, dy):
+    shape = (len(x), kernel.shape[-1], *kernel.shape[:-1])
+    results = [_like(x), jax.ShapeDtypeStruct(shape, jnp.float32)]
+    dx, dkernel = native.call('cvn_conv_gradient', results, x, kernel, dy)
+    return dx, jnp.moveaxis(dkernel.sum(0), 0, -1)
+
+  return _gradient_by_platform(kernels, phases.conv, library_conv, *residuals, dy)
 
 
 deconv.defvjp(_deconv_forward, _deconv_backward)
 conv.defvjp(_conv_forward, _conv_backward)
 
 
-def _by_platform(kernels, products, library, mixed, *arrays):
-  """Calls one of three programs for the same thing."""
+def _by_platform(kernels, products, library, dtype, x, kernel):
+  """Calls one of three programs for the same thing; the result's type is `dtype` or that of x."""
 
-  def rounded(function):
-    def call(*arrays):
-      # On an accelerator, as bfloat16: its own units multiply them.
-      return function(*(a.astype(jnp.bfloat16) if mixed else a for a in arrays))
-
-    return call
-
-  def on_cpu(*arrays):
+  def on_cpu(x, kernel):
     if native.available():
-      return kernels(*arrays, mixed=mixed)
-    if mixed:
-      arrays = [lax.reduce_precision(a, exponent_bits=8, mantissa_bits=7) for a in arrays]
-    return products(*arrays)
+      return kernels(x, kernel)
+    return products(*_rounded(x, kernel)).astype(dtype or x.dtype)
 
-  return lax.platform_dependent(*arrays, cpu=on_cpu, default=rounded(library))
+  def elsewhere(x, kernel):
+    return library(x, kernel.astype(x.dtype)).astype(dtype or x.dtype)
 
-
-def _gradient_of(function):
-  """(x, kernel, dy) -> (dx, dkernel), float32."""
-
-  def gradient(x, kernel, dy):
-    _, pull = jax.vjp(function, x, kernel)
-    return tuple(g.astype(jnp.float32) for g in pull(dy.astype(jnp.float32)))
-
-  return gradient
+  return lax.platform_dependent(x, kernel, cpu=on_cpu, default=elsewhere)
 
 
-def _native_deconv(x, kernel, mixed):
-  b, *size, _ = x.shape
-  shape = (b, *(2 * s for s in size), kernel.shape[-1])
-  return native.call('cvn_deconv', [shape], x, kernel, mixed=mixed)[0]
+def _gradient_by_platform(kernels, products, library, x, kernel, dy):
+  """Calls one of three programs for the gradients of x and kernel."""
+
+  def on_cpu(x, kernel, dy):
+    if native.available():
+      return kernels(x, kernel, dy)
+    wide, kernel, dy = _rounded(x, kernel, dy)
+    dx, dkernel = jax.vjp(products, wide, kernel)[1](dy)
+    return dx.astype(x.dtype), dkernel
+
+  def elsewhere(x, kernel, dy):
+    dx, dkernel = jax.vjp(library, x, kernel.astype(x.dtype))[1](dy.astype(x.dtype))
+    return dx, dkernel.astype(jnp.float32)
+
+  return lax.platform_dependent(x, kernel, dy, cpu=on_cpu, default=elsewhere)
 
 
-def _native_deconv_gradient(x, kernel, dy, mixed):
-  shapes = [x.shape, (len(x), *kernel.shape)]
-  dx, dkernel = native.call('cvn_deconv_gradient', shapes, x, kernel, dy, mixed=mixed)
-  return dx, dkernel.sum(0)
+def _rounded(x, *others):
+  """All as float32, with no more digits than x has."""
+  return [a.astype(x.dtype).astype(jnp.float32) for a in (x, *others)]
 
 
-def _native_conv(x, kernel, mixed):
-  shape = (*x.shape[:-1], kernel.shape[-1])
-  return native.call('cvn_conv', [shape], x, kernel, mixed=mixed)[0]
-
-
-def _native_conv_gradient(x, kernel, dy, mixed):
-  shapes = [x.shape, (len(x), kernel.shape[-1], *kernel.shape[:-1])]
-  dx, dkernel = native.call('cvn_conv_gradient', shapes, x, kernel, dy, mixed=mixed)
-  return dx, jnp.moveaxis(dkernel.sum(0), 0, -1)
+def _like(x):
+  return jax.ShapeDtypeStruct(x.shape, x.dtype)

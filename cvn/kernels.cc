@@ -1,8 +1,8 @@
 // The deconvolution and the convolution of cvn/deconv.py, with their gradients, for a CPU.
 //
-// Volumes are [B, X, Y, Z, C], kernels [3, 3, 3, in, out], all float32. Sums are made in float32.
-// With `mixed`, the factors of every product are rounded to bfloat16 first; the deconvolution then
-// runs on tile units (AMX) where the processor has them.
+// Volumes are [B, X, Y, Z, C] of float32 or bfloat16, kernels [3, 3, 3, in, out] of float32. Sums are
+// made in float32. Where a volume is of bfloat16, all factors of a product are, and the
+// deconvolution runs on tile units (AMX) where the processor has them.
 //
 // Along one axis, y[2 j + t] += x[j] w[t] for the deconvolution, and o[v] += z[v + t - 1] w[t] for
 // the convolution. Rows along z are copied into buffers with zeros where the map ends, so that the
@@ -35,6 +35,10 @@
 namespace ffi = xla::ffi;
 using Array = ffi::Buffer<ffi::F32>;
 using Result = ffi::ResultBuffer<ffi::F32>;
+using AnyArray = ffi::AnyBuffer;  // of float32 or bfloat16
+using AnyResult = ffi::Result<ffi::AnyBuffer>;
+
+#define CVN_INLINE inline __attribute__((always_inline))
 
 namespace {
 
@@ -43,20 +47,48 @@ constexpr int64_t kTaps = 27;
 typedef float Vec __attribute__((vector_size(64), may_alias));
 typedef float Loose __attribute__((vector_size(64), aligned(4), may_alias));  // anywhere in memory
 
-Vec Load(const float* p) { return *reinterpret_cast<const Loose*>(p); }
-void Store(float* p, Vec v) { *reinterpret_cast<Loose*>(p) = v; }
+typedef uint32_t Words __attribute__((vector_size(64), may_alias));
+typedef uint16_t Halves __attribute__((vector_size(32), aligned(2), may_alias));
+
+struct Bf16 {
+  uint16_t bits;
+};
+
+CVN_INLINE Vec Load(const float* p) { return *reinterpret_cast<const Loose*>(p); }
+CVN_INLINE void Store(float* p, Vec v) { *reinterpret_cast<Loose*>(p) = v; }
 int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multiple * multiple; }
 
-uint16_t ToBf16(float x) {  // to the nearest, ties to even; a NaN stays one
+// To the nearest bfloat16, ties to even; a NaN stays one.
+CVN_INLINE Bf16 ToBf16(float x) {
   uint32_t u;
   std::memcpy(&u, &x, 4);
-  return x != x ? 0x7fc0 : (u + 0x7fff + ((u >> 16) & 1)) >> 16;
+  return {static_cast<uint16_t>(x != x ? 0x7fc0 : (u + 0x7fff + ((u >> 16) & 1)) >> 16)};
 }
 
+CVN_INLINE float ToFloat(Bf16 x) {
+  const uint32_t u = uint32_t{x.bits} << 16;
+  float y;
+  std::memcpy(&y, &u, 4);
+  return y;
+}
+
+// A weight as a volume of T needs it.
+template <typename T>
 float Rounded(float x) {
-  uint32_t u = uint32_t{ToBf16(x)} << 16;
-  std::memcpy(&x, &u, 4);
-  return x;
+  return std::is_same_v<T, Bf16> ? ToFloat(ToBf16(x)) : x;
+}
+
+CVN_INLINE Vec Load(const Bf16* p) {
+  const Words wide = __builtin_convertvector(*reinterpret_cast<const Halves*>(p), Words) << 16;
+  return reinterpret_cast<Vec>(wide);
+}
+
+CVN_INLINE void Store(Bf16* p, Vec v) {
+  const Words u = reinterpret_cast<Words>(v);
+  const Words nan = reinterpret_cast<Words>(v != v);
+  const Words rounded = (u + 0x7fff + ((u >> 16) & 1)) >> 16;
+  *reinterpret_cast<Halves*>(p) =
+      __builtin_convertvector((nan & 0x7fc0) | (~nan & rounded), Halves);
 }
 
 // Memory for a while, zero at first. A thread keeps what it gave back for the next time: fresh pages
@@ -135,6 +167,14 @@ void ParallelFor(ffi::ThreadPool& pool, int64_t n, const F& f) {
   shared->finished.wait(lock, [&] { return shared->done == n; });
 }
 
+// Asks for what lies behind `n` elements that are read now: left alone, the processor asks for too
+// little too late where several maps are read at once.
+template <typename T>
+CVN_INLINE void PrefetchAfter(const T* p, int64_t n) {
+  const char* start = reinterpret_cast<const char*>(p) + 2048;
+  for (int64_t i = 0; i < static_cast<int64_t>(n * sizeof(T)); i += 64) __builtin_prefetch(start + i);
+}
+
 // Calls f with a number of channels that the compiler knows, where it is a usual one.
 template <typename F>
 void WithChannels(int64_t channels, const F& f) {
@@ -156,23 +196,30 @@ void WithWidth(int64_t wide, const F& f) {
   }
 }
 
+void Copy(const float* from, int64_t n, float* to) { std::memcpy(to, from, n * sizeof(float)); }
+void Copy(const Bf16* from, int64_t n, Bf16* to) { std::memcpy(to, from, n * sizeof(Bf16)); }
+void Copy(const Bf16* from, int64_t n, float* to) {
+  for (int64_t i = 0; i < n; ++i) to[i] = ToFloat(from[i]);
+}
+void Copy(const float* from, int64_t n, Bf16* to) {
+  for (int64_t i = 0; i < n; ++i) to[i] = ToBf16(from[i]);
+}
+
 // [rows][padded] -> [rows][channels].
-void CopyOut(const float* from, int64_t padded, int64_t rows, int64_t channels, float* to) {
+template <typename T>
+void CopyOut(const float* from, int64_t padded, int64_t rows, int64_t channels, T* to) {
   WithChannels(channels, [&](auto n) {
-    for (int64_t i = 0; i < rows; ++i) std::memcpy(to + i * n, from + i * padded, n * sizeof(float));
+    for (int64_t i = 0; i < rows; ++i) Copy(from + i * padded, n, to + i * n);
   });
 }
 
 // [rows][channels] -> [rows][padded]; the padding is not touched.
-void CopyIn(const float* from, int64_t rows, int64_t channels, bool mixed, int64_t padded,
-            float* to) {
+template <typename T, typename To>
+void CopyIn(const T* from, int64_t rows, int64_t channels, int64_t padded, To* to) {
   WithChannels(channels, [&](auto n) {
     for (int64_t i = 0; i < rows; ++i) {
-      if (mixed) {
-        for (int64_t c = 0; c < n; ++c) to[i * padded + c] = Rounded(from[i * n + c]);
-      } else {
-        std::memcpy(to + i * padded, from + i * n, n * sizeof(float));
-      }
+      PrefetchAfter(from + i * n, n);
+      Copy(from + i * n, n, to + i * padded);
     }
   });
 }
@@ -241,22 +288,25 @@ void Multiply(int taps, const float* const* a, int64_t a_stride, const float* co
   }
 }
 
-// C [m][n] += A^T B for A [k][m], B's rows `b_stride` apart: kRows rows of C, kVecs vectors wide.
+// One block of C += sum of A^T B, for A [k][m] and B with rows `a_stride` and `b_stride` apart.
 template <int kRows, int kVecs>
-void OuterBlock(const float* a, int64_t a_stride, const float* b, int64_t b_stride, int64_t k,
-                float* c, int64_t c_stride) {
+void OuterBlock(int pairs, const float* const* a, int64_t a_stride, const float* const* b,
+                int64_t b_stride, int64_t k, float* c, int64_t c_stride) {
   Vec sum[kRows][kVecs];
   for (int m = 0; m < kRows; ++m) {
     for (int v = 0; v < kVecs; ++v) sum[m][v] = Load(c + m * c_stride + v * kLanes);
   }
-  for (int64_t i = 0; i < k; ++i, a += a_stride, b += b_stride) {
-    Vec right[kVecs];
+  for (int p = 0; p < pairs; ++p) {
+    const float *left = a[p], *row = b[p];
+    for (int64_t i = 0; i < k; ++i, left += a_stride, row += b_stride) {
+      Vec right[kVecs];
 #pragma GCC unroll 4
-    for (int v = 0; v < kVecs; ++v) right[v] = Load(b + v * kLanes);
+      for (int v = 0; v < kVecs; ++v) right[v] = Load(row + v * kLanes);
 #pragma GCC unroll 16
-    for (int m = 0; m < kRows; ++m) {
+      for (int m = 0; m < kRows; ++m) {
 #pragma GCC unroll 4
-      for (int v = 0; v < kVecs; ++v) sum[m][v] += a[m] * right[v];
+        for (int v = 0; v < kVecs; ++v) sum[m][v] += left[m] * right[v];
+      }
     }
   }
   for (int m = 0; m < kRows; ++m) {
@@ -264,18 +314,18 @@ void OuterBlock(const float* a, int64_t a_stride, const float* b, int64_t b_stri
   }
 }
 
-// C [m][n] += sum over i < k of A[i][m] B[i][n]; m is a multiple of 8, n of kLanes.
-void AddOuter(const float* a, int64_t a_stride, const float* b, int64_t b_stride, int64_t k,
-              int64_t m, int64_t n, float* c, int64_t c_stride) {
+// C [m][n] += sum of A_p^T B_p; m is a multiple of 8, n of kLanes.
+void AddOuter(int pairs, const float* const* a, int64_t a_stride, const float* const* b,
+              int64_t b_stride, int64_t k, int64_t m, int64_t n, float* c, int64_t c_stride) {
+  const float *left[kMaxTaps], *right[kMaxTaps];
   for (int64_t j = 0; j < n;) {
     const bool wide = n - j >= 2 * kLanes;
+    for (int p = 0; p < pairs; ++p) right[p] = b[p] + j;
     for (int64_t i = 0; i < m; i += 8) {
+      for (int p = 0; p < pairs; ++p) left[p] = a[p] + i;
       float* out = c + i * c_stride + j;
-      if (wide) {
-        OuterBlock<8, 2>(a + i, a_stride, b + j, b_stride, k, out, c_stride);
-      } else {
-        OuterBlock<8, 1>(a + i, a_stride, b + j, b_stride, k, out, c_stride);
-      }
+      const auto block = wide ? OuterBlock<8, 2> : OuterBlock<8, 1>;
+      block(pairs, left, a_stride, right, b_stride, k, out, c_stride);
     }
     j += wide ? 2 * kLanes : kLanes;
   }
@@ -313,7 +363,7 @@ class TileSession {
 // B_tap is [column of tiles][depth] tiles of pairs, `b_stride` elements a column. With `kAdd` C is
 // added to.
 template <int kHigh, int kWide, bool kAdd>
-void TileBlock(int taps, const uint16_t* const* a, int64_t a_stride, const uint16_t* const* b,
+void TileBlock(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
                int64_t b_stride, int64_t depth, float* c, int64_t c_stride) {
   const int64_t bytes = a_stride * 2, c_bytes = c_stride * 4;
   float* low = c + kTileRows * c_stride;
@@ -330,8 +380,8 @@ void TileBlock(int taps, const uint16_t* const* a, int64_t a_stride, const uint1
   }
   for (int t = 0; t < taps; ++t) {
     for (int64_t s = 0; s < depth; ++s) {
-      const uint16_t* left = a[t] + s * kTileDepth;
-      const uint16_t* right = b[t] + s * kTileSize;
+      const Bf16* left = a[t] + s * kTileDepth;
+      const Bf16* right = b[t] + s * kTileSize;
       _tile_loadd(4, left, bytes);
       _tile_loadd(6, right, 64);
       _tile_dpbf16ps(0, 4, 6);
@@ -354,10 +404,10 @@ void TileBlock(int taps, const uint16_t* const* a, int64_t a_stride, const uint1
 
 // As Multiply, for rows and n that are multiples of 16.
 template <bool kAdd>
-void TileMultiply(int taps, const uint16_t* const* a, int64_t a_stride, const uint16_t* const* b,
+void TileMultiply(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
                   int64_t b_stride, int64_t rows, int64_t depth, int64_t n, float* c,
                   int64_t c_stride) {
-  const uint16_t *left[kMaxTaps], *right[kMaxTaps];
+  const Bf16 *left[kMaxTaps], *right[kMaxTaps];
   for (int64_t j = 0; j < n; j += 2 * kLanes) {
     const bool wide = n - j >= 2 * kLanes;
     for (int t = 0; t < taps; ++t) right[t] = b[t] + j / kLanes * b_stride;
@@ -375,7 +425,7 @@ void TileMultiply(int taps, const uint16_t* const* a, int64_t a_stride, const ui
 // [k][n] floats, k `k_stride` and n `n_stride` apart -> [column of tiles][depth] tiles of pairs:
 // rows of a tile are pairs of k, and a pair stands together.
 void PackTiles(const float* from, int64_t k_stride, int64_t n_stride, int64_t k, int64_t n,
-               int64_t depth, uint16_t* to) {
+               int64_t depth, Bf16* to) {
   for (int64_t j = 0; j < n; ++j) {
     for (int64_t i = 0; i < k; ++i) {
       const int64_t tile = j / kLanes * depth + i / kTileDepth;
@@ -384,15 +434,6 @@ void PackTiles(const float* from, int64_t k_stride, int64_t n_stride, int64_t k,
           ToBf16(from[i * k_stride + j * n_stride]);
     }
   }
-}
-
-// [rows][channels] -> [rows][padded]; the padding is not touched.
-void ToBf16Rows(const float* from, int64_t rows, int64_t channels, int64_t padded, uint16_t* to) {
-  WithChannels(channels, [&](auto n) {
-    for (int64_t i = 0; i < rows; ++i) {
-      for (int64_t c = 0; c < n; ++c) to[i * padded + c] = ToBf16(from[i * n + c]);
-    }
-  });
 }
 
 #endif  // CVN_TILES
@@ -432,11 +473,13 @@ int ForTaps(int phase, const F& f) {
   return n;
 }
 
-void DeconvRows(const Volume& s, const float* x, const float* w, bool mixed, ffi::ThreadPool& pool,
-                float* out) {
+template <typename In, typename Out>
+void DeconvRows(const Volume& s, const In* x, const float* w, ffi::ThreadPool& pool, Out* out) {
   const int64_t wide = RoundUp(s.cout, kLanes);
   Scratch<float> weight(kTaps * s.cin * wide);
-  CopyIn(w, kTaps * s.cin, s.cout, mixed, wide, weight.data());
+  for (int64_t i = 0; i < kTaps * s.cin; ++i) {
+    for (int64_t o = 0; o < s.cout; ++o) weight[i * wide + o] = Rounded<In>(w[i * s.cout + o]);
+  }
   ParallelFor(pool, s.b * s.x, [&](int64_t item) {
     const int64_t plane = item % s.x;
     const int64_t size = (s.z + 1) * s.cin;  // a row's buffer begins with a voxel of zeros
@@ -447,8 +490,7 @@ void DeconvRows(const Volume& s, const float* x, const float* w, bool mixed, ffi
       for (int i = 0; i < 2; ++i) {
         std::swap(rows[i][0], rows[i][1]);
         if (plane < i) continue;  // stays zero
-        CopyIn(x + ((item - i) * s.y + y) * s.z * s.cin, s.z, s.cin, mixed, s.cin,
-               rows[i][0] + s.cin);
+        CopyIn(x + ((item - i) * s.y + y) * s.z * s.cin, s.z, s.cin, s.cin, rows[i][0] + s.cin);
       }
       for (int phase = 0; phase < 8; ++phase) {
         const float *a[8], *b[8];
@@ -467,51 +509,65 @@ void DeconvRows(const Volume& s, const float* x, const float* w, bool mixed, ffi
   });
 }
 
+constexpr int kStrip = 4;  // rows whose terms of a kernel's gradient are summed in registers
+
 // The gradients of input and kernel, from that of the output; `dw` is [B, 27, in, out].
-void DeconvGradients(const Volume& s, const float* x, const float* w, const float* dy, bool mixed,
-                     ffi::ThreadPool& pool, float* dx, float* dw) {
+template <typename In, typename Out>
+void DeconvGradients(const Volume& s, const In* x, const float* w, const Out* dy,
+                     ffi::ThreadPool& pool, In* dx, float* dw) {
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
   Scratch<float> weight(kTaps * s.cout * wide_in);  // [27][out][in]
   for (int64_t t = 0; t < kTaps; ++t) {
     for (int64_t i = 0; i < s.cin; ++i) {
       for (int64_t o = 0; o < s.cout; ++o) {
-        const float value = w[(t * s.cin + i) * s.cout + o];
-        weight[(t * s.cout + o) * wide_in + i] = mixed ? Rounded(value) : value;
+        weight[(t * s.cout + o) * wide_in + i] = Rounded<In>(w[(t * s.cin + i) * s.cout + o]);
       }
     }
   }
   ParallelFor(pool, s.b, [&](int64_t sample) {
     const int64_t size = (2 * s.z + 1) * wide_out;  // a row's buffer ends with a voxel of zeros
-    Scratch<float> buffer(9 * size), zero(size), left(s.z * wide_in), sum(s.z * wide_in);
-    Scratch<float> total(kTaps * wide_in * wide_out);
+    constexpr int kRows = 2 * kStrip + 1;  // of the output, for a strip
+    Scratch<float> buffer(3 * kRows * size), zero(size), sum(s.z * wide_in);
+    Scratch<float> left(kStrip * s.z * wide_in), total(kTaps * wide_in * wide_out);
     for (int64_t plane = 0; plane < s.x; ++plane) {
-      float* rows[3][3];  // output rows 2 x + a, 2 y + b
-      for (int i = 0; i < 9; ++i) rows[i / 3][i % 3] = buffer.data() + i * size;
-      const auto fill = [&](int64_t a, int64_t row, float* to) {
-        const int64_t at = FineRow(s, sample, 2 * plane + a, row) * s.cout;
-        CopyIn(dy + at, 2 * s.z, s.cout, mixed, wide_out, to);
-      };
-      for (int64_t y = 0; y < s.y; ++y) {
-        const float* source[3][3];
+      float* rows[3][kRows];  // output rows 2 x + a, 2 y + b
+      for (int i = 0; i < 3 * kRows; ++i) rows[i / kRows][i % kRows] = buffer.data() + i * size;
+      for (int64_t first = 0; first < s.y; first += kStrip) {
+        const int count = static_cast<int>(std::min<int64_t>(kStrip, s.y - first));
+        const float* source[3][kRows];
         for (int a = 0; a < 3; ++a) {
-          std::swap(rows[a][0], rows[a][2]);
-          for (int b = 0; b < 3; ++b) {
-            const bool there = 2 * plane + a < 2 * s.x && 2 * y + b < 2 * s.y;
-            if (there && (b > 0 || y == 0)) fill(a, 2 * y + b, rows[a][b]);
+          std::swap(rows[a][0], rows[a][kRows - 1]);  // the last one of the strip before
+          for (int b = 0; b <= 2 * count; ++b) {
+            const int64_t row = 2 * first + b;
+            const bool there = 2 * plane + a < 2 * s.x && row < 2 * s.y;
+            if (there && (b > 0 || first == 0)) {
+              const int64_t at = FineRow(s, sample, 2 * plane + a, row) * s.cout;
+              CopyIn(dy + at, 2 * s.z, s.cout, wide_out, rows[a][b]);
+              for (int64_t i = 0; i < size; ++i) rows[a][b][i] = Rounded<In>(rows[a][b][i]);
+            }
             source[a][b] = there ? rows[a][b] : zero.data();
           }
         }
-        const int64_t at = ((sample * s.x + plane) * s.y + y) * s.z * s.cin;
-        CopyIn(x + at, s.z, s.cin, mixed, wide_in, left.data());
-        const float *a[kTaps], *b[kTaps];
+        const int64_t at = ((sample * s.x + plane) * s.y + first) * s.z * s.cin;
+        CopyIn(x + at, count * s.z, s.cin, wide_in, left.data());
         for (int t = 0; t < kTaps; ++t) {
-          a[t] = source[t / 9][t / 3 % 3] + t % 3 * wide_out;
-          b[t] = weight.data() + t * s.cout * wide_in;
-          AddOuter(left.data(), wide_in, a[t], 2 * wide_out, s.z, RoundUp(s.cin, 8), wide_out,
+          const float *a[kStrip], *b[kStrip];
+          for (int i = 0; i < count; ++i) {
+            a[i] = left.data() + i * s.z * wide_in;
+            b[i] = source[t / 9][2 * i + t / 3 % 3] + t % 3 * wide_out;
+          }
+          AddOuter(count, a, wide_in, b, 2 * wide_out, s.z, RoundUp(s.cin, 8), wide_out,
                    total.data() + t * wide_in * wide_out, wide_out);
         }
-        Multiply(kTaps, a, 2 * wide_out, b, wide_in, s.z, s.cout, wide_in, sum.data(), wide_in);
-        CopyOut(sum.data(), wide_in, s.z, s.cin, dx + at);
+        for (int i = 0; i < count; ++i) {
+          const float *a[kTaps], *b[kTaps];
+          for (int t = 0; t < kTaps; ++t) {
+            a[t] = source[t / 9][2 * i + t / 3 % 3] + t % 3 * wide_out;
+            b[t] = weight.data() + t * s.cout * wide_in;
+          }
+          Multiply(kTaps, a, 2 * wide_out, b, wide_in, s.z, s.cout, wide_in, sum.data(), wide_in);
+          CopyOut(sum.data(), wide_in, s.z, s.cin, dx + at + i * s.z * s.cin);
+        }
       }
     }
     for (int64_t t = 0; t < kTaps; ++t) {
@@ -523,11 +579,12 @@ void DeconvGradients(const Volume& s, const float* x, const float* w, const floa
 
 #if CVN_TILES
 
-void TileDeconvRows(const Volume& s, const float* x, const float* w, ffi::ThreadPool& pool,
-                    float* out) {
+template <typename Out>
+void TileDeconvRows(const Volume& s, const Bf16* x, const float* w, ffi::ThreadPool& pool,
+                    Out* out) {
   const int64_t wide = RoundUp(s.cout, kLanes), deep = RoundUp(s.cin, kTileDepth);
   const int64_t depth = deep / kTileDepth, high = RoundUp(s.z, kTileRows);
-  Scratch<uint16_t> weight(kTaps * deep * wide);
+  Scratch<Bf16> weight(kTaps * deep * wide);
   for (int64_t t = 0; t < kTaps; ++t) {
     PackTiles(w + t * s.cin * s.cout, s.cout, 1, s.cin, s.cout, depth,
               weight.data() + t * deep * wide);
@@ -535,18 +592,18 @@ void TileDeconvRows(const Volume& s, const float* x, const float* w, ffi::Thread
   ParallelFor(pool, s.b * s.x, [&](int64_t item) {
     TileSession session;
     const int64_t plane = item % s.x, size = (high + 1) * deep;
-    Scratch<uint16_t> buffer(4 * size);
+    Scratch<Bf16> buffer(4 * size);
     Scratch<float> sum(2 * high * wide);
-    uint16_t* rows[2][2];
+    Bf16* rows[2][2];
     for (int i = 0; i < 4; ++i) rows[i / 2][i % 2] = buffer.data() + i * size;
     for (int64_t y = 0; y < s.y; ++y) {
       for (int i = 0; i < 2; ++i) {
         std::swap(rows[i][0], rows[i][1]);
         if (plane < i) continue;
-        ToBf16Rows(x + ((item - i) * s.y + y) * s.z * s.cin, s.z, s.cin, deep, rows[i][0] + deep);
+        CopyIn(x + ((item - i) * s.y + y) * s.z * s.cin, s.z, s.cin, deep, rows[i][0] + deep);
       }
       for (int phase = 0; phase < 8; ++phase) {
-        const uint16_t *a[8], *b[8];
+        const Bf16 *a[8], *b[8];
         const int taps = ForTaps(phase, [&](int n, int tap, int i, int j, int k) {
           a[n] = rows[i][j] + (1 - k) * deep;
           b[n] = weight.data() + tap * deep * wide;
@@ -562,12 +619,13 @@ void TileDeconvRows(const Volume& s, const float* x, const float* w, ffi::Thread
   });
 }
 
-void TileDeconvGradients(const Volume& s, const float* x, const float* w, const float* dy,
-                         ffi::ThreadPool& pool, float* dx, float* dw) {
+template <typename Out>
+void TileDeconvGradients(const Volume& s, const Bf16* x, const float* w, const Out* dy,
+                         ffi::ThreadPool& pool, Bf16* dx, float* dw) {
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
   const int64_t deep = RoundUp(s.cout, kTileDepth), depth = deep / kTileDepth;
   const int64_t high = RoundUp(s.z, kTileRows), long_z = RoundUp(s.z, kTileDepth);
-  Scratch<uint16_t> weight(kTaps * deep * wide_in);
+  Scratch<Bf16> weight(kTaps * deep * wide_in);
   for (int64_t t = 0; t < kTaps; ++t) {
     PackTiles(w + t * s.cin * s.cout, 1, s.cout, s.cout, s.cin, depth,
               weight.data() + t * deep * wide_in);
@@ -575,66 +633,77 @@ void TileDeconvGradients(const Volume& s, const float* x, const float* w, const 
   // One row of the output's gradient: as rows of voxels, and for each tap along z as tiles of pairs
   // of voxels that are two apart.
   struct Row {
-    uint16_t* voxels;  // [2 high + 1][deep]
-    uint16_t* pairs[3];  // [column of tiles][long_z / 32] tiles
+    Bf16* voxels;  // [2 high + 1][deep]
+    Bf16* pairs[3];  // [column of tiles][long_z / 32] tiles
   };
   const int64_t voxels = (2 * high + 1) * deep, pairs = long_z * wide_out;
   ParallelFor(pool, s.b, [&](int64_t sample) {
     TileSession session;
-    Scratch<uint16_t> buffer(10 * (voxels + 3 * pairs)), left(wide_in * long_z);
+    constexpr int kRows = 2 * kStrip + 1;  // of the output, for a strip
+    Scratch<Bf16> buffer((3 * kRows + 1) * (voxels + 3 * pairs));
+    Scratch<Bf16> left(kStrip * wide_in * long_z);
     Scratch<float> sum(high * wide_in), total(kTaps * wide_in * wide_out);
-    Row all[10];  // the last one stays zero
-    for (int i = 0; i < 10; ++i) {
-      uint16_t* start = buffer.data() + i * (voxels + 3 * pairs);
-      all[i] = {start, {start + voxels, start + voxels + pairs, start + voxels + 2 * pairs}};
-    }
-    for (int64_t plane = 0; plane < s.x; ++plane) {
-      Row rows[3][3];
-      for (int i = 0; i < 9; ++i) rows[i / 3][i % 3] = all[i];
-      const auto fill = [&](int64_t a, int64_t row, const Row& to) {
-        const int64_t at = FineRow(s, sample, 2 * plane + a, row) * s.cout;
-        ToBf16Rows(dy + at, 2 * s.z, s.cout, deep, to.voxels);
-        const int64_t column = long_z / kTileDepth * kTileSize;
-        for (int t = 0; t < 3; ++t) {
-          for (int64_t z = 0; z < s.z; z += 2) {
-            const uint16_t* first = to.voxels + (2 * z + t) * deep;
-            const uint16_t* second = to.voxels + std::min(2 * z + 2 + t, 2 * high) * deep;
-            uint16_t* pair = to.pairs[t] + z / kTileDepth * kTileSize + z % kTileDepth / 2 * 32;
-            for (int64_t o = 0; o < wide_out; o += kLanes, pair += column) {
-              for (int64_t l = 0; l < kLanes; ++l) {
-                pair[2 * l] = first[o + l], pair[2 * l + 1] = second[o + l];
-              }
+    const auto row_at = [&](int i) -> Row {
+      Bf16* start = buffer.data() + i * (voxels + 3 * pairs);
+      return {start, {start + voxels, start + voxels + pairs, start + voxels + 2 * pairs}};
+    };
+    const Row zero = row_at(3 * kRows);  // stays so
+    const auto fill = [&](int64_t fine_x, int64_t fine_y, const Row& to) {
+      CopyIn(dy + FineRow(s, sample, fine_x, fine_y) * s.cout, 2 * s.z, s.cout, deep, to.voxels);
+      const int64_t column = long_z / kTileDepth * kTileSize;
+      for (int t = 0; t < 3; ++t) {
+        for (int64_t z = 0; z < s.z; z += 2) {
+          const Bf16* first = to.voxels + (2 * z + t) * deep;
+          const Bf16* second = to.voxels + std::min(2 * z + 2 + t, 2 * high) * deep;
+          Bf16* pair = to.pairs[t] + z / kTileDepth * kTileSize + z % kTileDepth / 2 * 32;
+          for (int64_t o = 0; o < wide_out; o += kLanes, pair += column) {
+            for (int64_t l = 0; l < kLanes; ++l) {
+              pair[2 * l] = first[o + l], pair[2 * l + 1] = second[o + l];
             }
           }
         }
-      };
-      for (int64_t y = 0; y < s.y; ++y) {
-        const Row* source[3][3];
+      }
+    };
+    for (int64_t plane = 0; plane < s.x; ++plane) {
+      Row rows[3][kRows];
+      for (int i = 0; i < 3 * kRows; ++i) rows[i / kRows][i % kRows] = row_at(i);
+      for (int64_t first = 0; first < s.y; first += kStrip) {
+        const int count = static_cast<int>(std::min<int64_t>(kStrip, s.y - first));
+        const Row* source[3][kRows];
         for (int a = 0; a < 3; ++a) {
-          std::swap(rows[a][0], rows[a][2]);
-          for (int b = 0; b < 3; ++b) {
-            const bool there = 2 * plane + a < 2 * s.x && 2 * y + b < 2 * s.y;
-            if (there && (b > 0 || y == 0)) fill(a, 2 * y + b, rows[a][b]);
-            source[a][b] = there ? &rows[a][b] : &all[9];
+          std::swap(rows[a][0], rows[a][kRows - 1]);  // the last one of the strip before
+          for (int b = 0; b <= 2 * count; ++b) {
+            const int64_t row = 2 * first + b;
+            const bool there = 2 * plane + a < 2 * s.x && row < 2 * s.y;
+            if (there && (b > 0 || first == 0)) fill(2 * plane + a, row, rows[a][b]);
+            source[a][b] = there ? &rows[a][b] : &zero;
           }
         }
-        const int64_t at = ((sample * s.x + plane) * s.y + y) * s.z * s.cin;
-        for (int64_t z = 0; z < s.z; ++z) {
-          for (int64_t i = 0; i < s.cin; ++i) left[i * long_z + z] = ToBf16(x[at + z * s.cin + i]);
+        const int64_t at = ((sample * s.x + plane) * s.y + first) * s.z * s.cin;
+        for (int64_t n = 0; n < count * s.z; ++n) {
+          Bf16* to = left.data() + n / s.z * wide_in * long_z + n % s.z;
+          for (int64_t i = 0; i < s.cin; ++i) to[i * long_z] = x[at + n * s.cin + i];
         }
-        const uint16_t *a[kTaps], *b[kTaps];
         for (int t = 0; t < kTaps; ++t) {
-          const Row& row = *source[t / 9][t / 3 % 3];
-          a[t] = row.voxels + t % 3 * deep;
-          b[t] = weight.data() + t * deep * wide_in;
-          const uint16_t *from = left.data(), *with = row.pairs[t % 3];
-          TileMultiply<true>(1, &from, long_z, &with, long_z / kTileDepth * kTileSize, wide_in,
+          const Bf16 *a[kStrip], *b[kStrip];
+          for (int i = 0; i < count; ++i) {
+            a[i] = left.data() + i * wide_in * long_z;
+            b[i] = source[t / 9][2 * i + t / 3 % 3]->pairs[t % 3];
+          }
+          TileMultiply<true>(count, a, long_z, b, long_z / kTileDepth * kTileSize, wide_in,
                              long_z / kTileDepth, wide_out,
                              total.data() + t * wide_in * wide_out, wide_out);
         }
-        TileMultiply<false>(kTaps, a, 2 * deep, b, depth * kTileSize, high, depth, wide_in,
-                            sum.data(), wide_in);
-        CopyOut(sum.data(), wide_in, s.z, s.cin, dx + at);
+        for (int i = 0; i < count; ++i) {
+          const Bf16 *a[kTaps], *b[kTaps];
+          for (int t = 0; t < kTaps; ++t) {
+            a[t] = source[t / 9][2 * i + t / 3 % 3]->voxels + t % 3 * deep;
+            b[t] = weight.data() + t * deep * wide_in;
+          }
+          TileMultiply<false>(kTaps, a, 2 * deep, b, depth * kTileSize, high, depth, wide_in,
+                              sum.data(), wide_in);
+          CopyOut(sum.data(), wide_in, s.z, s.cin, dx + at + i * s.z * s.cin);
+        }
       }
     }
     for (int64_t t = 0; t < kTaps; ++t) {
@@ -682,16 +751,15 @@ Vec Convolve16(const float* const* from, int64_t at, const float* weight, Width 
 
 constexpr int64_t kSlab = 16;  // planes done in a row, which share their neighbours' copies
 
-void ConvRows(const Volume& s, const float* in, const float* w, bool mixed, ffi::ThreadPool& pool,
-              float* out) {
+template <typename In>
+void ConvRows(const Volume& s, const In* in, const float* w, ffi::ThreadPool& pool, float* out) {
   const int64_t nx = s.x, ny = s.y, nz = s.z;
   const int64_t wide = RoundUp(s.cin, kLanes), row_size = (RoundUp(nz, kLanes) + 2) * wide;
   Scratch<float> weight(s.cout * kTaps * wide);  // [out][27][in]
   for (int64_t t = 0; t < kTaps; ++t) {
     for (int64_t i = 0; i < s.cin; ++i) {
       for (int64_t o = 0; o < s.cout; ++o) {
-        const float value = w[(t * s.cin + i) * s.cout + o];
-        weight[(o * kTaps + t) * wide + i] = mixed ? Rounded(value) : value;
+        weight[(o * kTaps + t) * wide + i] = Rounded<In>(w[(t * s.cin + i) * s.cout + o]);
       }
     }
   }
@@ -706,7 +774,7 @@ void ConvRows(const Volume& s, const float* in, const float* w, bool mixed, ffi:
     const auto fill = [&](int64_t x) {
       if (x < 0 || x >= nx) return;
       for (int64_t y = 0; y < ny; ++y) {
-        CopyIn(in + ((sample * nx + x) * ny + y) * nz * s.cin, nz, s.cin, mixed, wide,
+        CopyIn(in + ((sample * nx + x) * ny + y) * nz * s.cin, nz, s.cin, wide,
                plane_at(x) + (y + 1) * row_size + wide);
       }
     };
@@ -761,8 +829,9 @@ void Spread8(int64_t taps, const float* const* from, int64_t at, const float* we
 }
 
 // The gradients of input and kernel, from that of the output; `dw` is [B, out, 27, in].
-void ConvGradients(const Volume& s, const float* in, const float* w, const float* dout, bool mixed,
-                   ffi::ThreadPool& pool, float* din, float* dw) {
+template <typename In>
+void ConvGradients(const Volume& s, const In* in, const float* w, const float* dout,
+                   ffi::ThreadPool& pool, In* din, float* dw) {
   const int64_t nx = s.x, ny = s.y, nz = s.z;
   const int64_t wide = RoundUp(s.cin, kLanes), long_z = RoundUp(nz, 8), row_size = long_z + 2;
   const int64_t taps = s.cout * kTaps;
@@ -770,8 +839,7 @@ void ConvGradients(const Volume& s, const float* in, const float* w, const float
   for (int64_t t = 0; t < kTaps; ++t) {
     for (int64_t i = 0; i < s.cin; ++i) {
       for (int64_t o = 0; o < s.cout; ++o) {
-        const float value = w[(t * s.cin + i) * s.cout + o];
-        weight[(o * kTaps + t) * wide + i] = mixed ? Rounded(value) : value;
+        weight[(o * kTaps + t) * wide + i] = Rounded<In>(w[(t * s.cin + i) * s.cout + o]);
       }
     }
   }
@@ -788,10 +856,7 @@ void ConvGradients(const Volume& s, const float* in, const float* w, const float
         const float* from = dout + ((sample * nx + x) * ny + y) * nz * s.cout;
         for (int64_t o = 0; o < s.cout; ++o) {
           float* to = plane_at(x) + o * layer + (y + 1) * row_size + 1;
-          for (int64_t z = 0; z < nz; ++z) {
-            const float value = from[z * s.cout + o];
-            to[z] = mixed ? Rounded(value) : value;
-          }
+          for (int64_t z = 0; z < nz; ++z) to[z] = Rounded<In>(from[z * s.cout + o]);
         }
       }
     };
@@ -805,7 +870,7 @@ void ConvGradients(const Volume& s, const float* in, const float* w, const float
           from[n] = plane_at(x + 1 - t / 9) + o * layer + (y + 2 - t / 3 % 3) * row_size + 2 - t % 3;
         }
         const int64_t at = ((sample * nx + x) * ny + y) * nz * s.cin;
-        CopyIn(in + at, nz, s.cin, mixed, wide, row.data());
+        CopyIn(in + at, nz, s.cin, wide, row.data());
         for (int64_t c = 0; c < wide; c += kLanes) {
           for (int64_t n = 0; n < taps; n += 9) {
             Vec part[9];
@@ -842,13 +907,13 @@ void ConvGradients(const Volume& s, const float* in, const float* w, const float
 enum Activation : int64_t { kIdentity = 0, kElu = 1, kSigmoid = 2 };
 typedef int32_t Ints __attribute__((vector_size(64)));
 
-Vec Select(Ints mask, Vec a, Vec b) {
+CVN_INLINE Vec Select(Ints mask, Vec a, Vec b) {
   return reinterpret_cast<Vec>((mask & reinterpret_cast<Ints>(a)) |
                                (~mask & reinterpret_cast<Ints>(b)));
 }
 
 // e^x to two units in the last place: 2^n e^r, |r| <= ln(2) / 2, and Taylor's polynomial.
-Vec Exp(Vec x) {
+CVN_INLINE Vec Exp(Vec x) {
   x = Select(x < -87.0f, Vec{} - 87.0f, x);
   x = Select(x > 88.0f, Vec{} + 88.0f, x);
   const float kShift = 12582912.0f;  // 1.5 2^23: adding it rounds to a whole number
@@ -867,7 +932,7 @@ Vec Exp(Vec x) {
 
 // Value and slope of an activation.
 template <Activation kActivation>
-void Activate(Vec v, Vec* value, Vec* slope) {
+CVN_INLINE void Activate(Vec v, Vec* value, Vec* slope) {
   const Vec one = Vec{} + 1.0f;
   if constexpr (kActivation == kElu) {
     const Vec e = Exp(Select(v > 0.0f, Vec{}, v));
@@ -898,7 +963,7 @@ struct Pieces {
   int64_t samples, channels, size;  // floats of a sample
   int64_t period, piece, count;     // floats, floats, pieces of a sample
 
-  Pieces(const Array& x)
+  explicit Pieces(const AnyArray& x)
       : samples(x.dimensions()[0]),
         channels(x.dimensions().back()),
         size(static_cast<int64_t>(x.element_count()) / std::max<int64_t>(samples, 1)) {
@@ -914,51 +979,87 @@ struct Pieces {
     return repeated;
   }
 
-  // Calls f(vector's place in the map, its place in the period, its floats: 16 or the rest).
-  template <typename F>
-  void ForVectors(int64_t sample, int64_t index, const F& f) const {
-    const int64_t first = index * piece, last = std::min(first + piece, size);
-    int64_t phase = 0;
-    for (int64_t i = first; i < last; i += kLanes) {
-      f(sample * size + i, phase, std::min(kLanes, last - i));
-      phase = phase + kLanes == period ? 0 : phase + kLanes;
-    }
+  int64_t Begin(int64_t item) const { return item / count * size + item % count * piece; }
+  int64_t End(int64_t item) const {
+    return item / count * size + std::min(item % count * piece + piece, size);
   }
 };
 
-Vec LoadSome(const float* p, int64_t n) {
-  if (n == kLanes) return Load(p);
-  Vec v = {};
-  std::memcpy(&v, p, n * sizeof(float));
-  return v;
-}
-
-void StoreSome(float* p, Vec v, int64_t n) {
-  if (n == kLanes) {
-    Store(p, v);
-  } else {
-    std::memcpy(p, &v, n * sizeof(float));
+// Calls f with the number of vectors of a period, which the compiler then knows, or with 1.
+template <typename F>
+void WithVectors(int64_t period, const F& f) {
+  switch (period / kLanes) {
+    case 2: return f(std::integral_constant<int, 2>());
+    case 3: return f(std::integral_constant<int, 3>());
+    case 4: return f(std::integral_constant<int, 4>());
+    default: return f(std::integral_constant<int, 1>());
   }
 }
 
-// Two sums over each sample's places, by channel: `sums` is [B, 2, C], f(place, phase, floats, first,
-// second) adds to vectors.
+// Calls f(place in the map, vector of the period, floats: 16 or the rest) for a piece, whose period
+// has kVecs vectors or, where kVecs is 1, any number.
+template <int kVecs, typename F>
+CVN_INLINE void ForVectors(const Pieces& p, int64_t item, const F& f) {
+  int64_t i = p.Begin(item);
+  const int64_t end = p.End(item), all = kVecs == 1 ? p.period / kLanes : kVecs;
+  if (all == kVecs) {
+    for (; i + kVecs * kLanes <= end; i += kVecs * kLanes) {
+#pragma GCC unroll 4
+      for (int v = 0; v < kVecs; ++v) f(i + v * kLanes, v, kLanes);
+    }
+  }
+  for (int64_t v = 0; i < end; i += kLanes, v = v + 1 == all ? 0 : v + 1) {
+    f(i, v, std::min(kLanes, end - i));
+  }
+}
+
+template <typename T>
+CVN_INLINE Vec LoadSome(const T* p, int64_t n) {
+  PrefetchAfter(p, kLanes);
+  if (n == kLanes) return Load(p);
+  Vec v = {};
+  Copy(p, n, reinterpret_cast<float*>(&v));
+  return v;
+}
+
+template <typename T>
+CVN_INLINE void StoreSome(T* p, Vec v, int64_t n) {
+  if (n == kLanes) {
+    Store(p, v);
+  } else {
+    Copy(reinterpret_cast<const float*>(&v), n, p);
+  }
+}
+
+// Two sums over each sample's places, by channel: `sums` is [B, 2, C], and f(place, vector of the
+// period, floats, first, second) adds to vectors.
 template <typename F>
 void SumTwo(const Pieces& p, ffi::ThreadPool& pool, float* sums, const F& f) {
   Scratch<double> parts(p.samples * p.count * 2 * p.channels);
-  ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
-    Scratch<float> first(p.period), second(p.period);
-    p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
-      Vec a = Load(&first[phase]), b = Load(&second[phase]);
-      f(at, phase, n, &a, &b);
-      Store(&first[phase], a);
-      Store(&second[phase], b);
+  WithVectors(p.period, [&](auto vecs) {
+    ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
+      Scratch<float> memory(2 * p.period);  // of periods that are longer than registers go
+      float *first = memory.data(), *second = first + p.period;
+      Vec sum[2][vecs] = {};
+      ForVectors<vecs>(p, item, [&](int64_t at, int64_t v, int64_t n) {
+        if (vecs > 1 || p.period == kLanes) return f(at, v, n, &sum[0][v], &sum[1][v]);
+        Vec a = Load(first + v * kLanes), b = Load(second + v * kLanes);
+        f(at, v, n, &a, &b);
+        Store(first + v * kLanes, a);
+        Store(second + v * kLanes, b);
+      });
+      if (vecs > 1 || p.period == kLanes) {
+        for (int v = 0; v < vecs; ++v) {
+          Store(first + v * kLanes, sum[0][v]);
+          Store(second + v * kLanes, sum[1][v]);
+        }
+      }
+      double* part = &parts[item * 2 * p.channels];
+      for (int64_t i = 0; i < p.period; ++i) {
+        part[i % p.channels] += first[i];
+        part[p.channels + i % p.channels] += second[i];
+      }
     });
-    double* part = &parts[item * 2 * p.channels];
-    for (int64_t i = 0; i < p.period; ++i) {
-      part[i % p.channels] += first[i];
-      part[p.channels + i % p.channels] += second[i];
-    }
   });
   for (int64_t sample = 0; sample < p.samples; ++sample) {
     for (int64_t c = 0; c < 2 * p.channels; ++c) {
@@ -971,186 +1072,181 @@ void SumTwo(const Pieces& p, ffi::ThreadPool& pool, float* sums, const F& f) {
   }
 }
 
+// Calls f(place, vector of the period, floats) for all of a map.
+template <typename F>
+void ForAll(const Pieces& p, ffi::ThreadPool& pool, const F& f) {
+  WithVectors(p.period, [&](auto vecs) {
+    ParallelFor(pool, p.samples * p.count, [&](int64_t item) { ForVectors<vecs>(p, item, f); });
+  });
+}
+
 // ------------------------------------------------------------------------------------------------
 // What XLA calls.
 
-Volume VolumeOf(const Array& x, const Array& w) {
+// Calls f with pointers of the elements' type, after the first of them.
+template <typename F>
+ffi::Error WithType(const AnyArray& x, const F& f) {
+  switch (x.element_type()) {
+    case ffi::F32: f(static_cast<float*>(nullptr)); break;
+    case ffi::BF16: f(static_cast<Bf16*>(nullptr)); break;
+    default: return ffi::Error::InvalidArgument("volumes must be of float32 or bfloat16");
+  }
+  return ffi::Error::Success();
+}
+
+template <typename T>
+T* Data(const AnyArray& x, T*) {
+  return static_cast<T*>(const_cast<void*>(x.untyped_data()));
+}
+
+Volume VolumeOf(const AnyArray& x, const Array& w) {
   const auto d = x.dimensions(), k = w.dimensions();
   return {d[0], d[1], d[2], d[3], k[3], k[4]};
 }
 
-ffi::Error Deconv(ffi::ThreadPool pool, Array x, Array w, Result y, bool mixed) {
+ffi::Error Deconv(ffi::ThreadPool pool, AnyArray x, Array w, AnyResult y) {
   const Volume s = VolumeOf(x, w);
+  const float* weight = w.typed_data();
+  return WithType(x, [&](auto* in) {
+    WithType(*y, [&](auto* out) {
 #if CVN_TILES
-  if (mixed && TilesAllowed()) {
-    TileDeconvRows(s, x.typed_data(), w.typed_data(), pool, y->typed_data());
-    return ffi::Error::Success();
-  }
+      if constexpr (std::is_same_v<decltype(in), Bf16*>) {
+        if (TilesAllowed()) {
+          return TileDeconvRows(s, Data(x, in), weight, pool, Data(*y, out));
+        }
+      }
 #endif
-  DeconvRows(s, x.typed_data(), w.typed_data(), mixed, pool, y->typed_data());
-  return ffi::Error::Success();
+      DeconvRows(s, Data(x, in), weight, pool, Data(*y, out));
+    });
+  });
 }
 
-ffi::Error DeconvGradient(ffi::ThreadPool pool, Array x, Array w, Array dy, Result dx, Result dw,
-                          bool mixed) {
+ffi::Error DeconvGradient(ffi::ThreadPool pool, AnyArray x, Array w, AnyArray dy, AnyResult dx,
+                          Result dw) {
   const Volume s = VolumeOf(x, w);
+  const float* weight = w.typed_data();
+  float* dweight = dw->typed_data();
+  return WithType(x, [&](auto* in) {
+    WithType(dy, [&](auto* out) {
 #if CVN_TILES
-  if (mixed && TilesAllowed()) {
-    TileDeconvGradients(s, x.typed_data(), w.typed_data(), dy.typed_data(), pool, dx->typed_data(),
-                        dw->typed_data());
-    return ffi::Error::Success();
-  }
+      if constexpr (std::is_same_v<decltype(in), Bf16*>) {
+        if (TilesAllowed()) {
+          return TileDeconvGradients(s, Data(x, in), weight, Data(dy, out), pool, Data(*dx, in),
+                                     dweight);
+        }
+      }
 #endif
-  DeconvGradients(s, x.typed_data(), w.typed_data(), dy.typed_data(), mixed, pool,
-                  dx->typed_data(), dw->typed_data());
-  return ffi::Error::Success();
+      DeconvGradients(s, Data(x, in), weight, Data(dy, out), pool, Data(*dx, in), dweight);
+    });
+  });
 }
 
-ffi::Error Conv(ffi::ThreadPool pool, Array z, Array w, Result o, bool mixed) {
-  ConvRows(VolumeOf(z, w), z.typed_data(), w.typed_data(), mixed, pool, o->typed_data());
-  return ffi::Error::Success();
+ffi::Error Conv(ffi::ThreadPool pool, AnyArray z, Array w, Result o) {
+  return WithType(z, [&](auto* in) {
+    ConvRows(VolumeOf(z, w), Data(z, in), w.typed_data(), pool, o->typed_data());
+  });
 }
 
-ffi::Error ConvGradient(ffi::ThreadPool pool, Array z, Array w, Array dout, Result dz, Result dw,
-                        bool mixed) {
-  ConvGradients(VolumeOf(z, w), z.typed_data(), w.typed_data(), dout.typed_data(), mixed, pool,
-                dz->typed_data(), dw->typed_data());
-  return ffi::Error::Success();
+ffi::Error ConvGradient(ffi::ThreadPool pool, AnyArray z, Array w, Array dout, AnyResult dz,
+                        Result dw) {
+  return WithType(z, [&](auto* in) {
+    ConvGradients(VolumeOf(z, w), Data(z, in), w.typed_data(), dout.typed_data(), pool,
+                  Data(*dz, in), dw->typed_data());
+  });
 }
 
 // Sums of x and of x squared.
-ffi::Error Moments(ffi::ThreadPool pool, Array x, Result sums) {
-  const float* in = x.typed_data();
-  SumTwo(Pieces(x), pool, sums->typed_data(),
-         [&](int64_t at, int64_t, int64_t n, Vec* first, Vec* second) {
-           const Vec v = LoadSome(in + at, n);
-           *first += v;
-           *second += v * v;
-         });
-  return ffi::Error::Success();
+ffi::Error Moments(ffi::ThreadPool pool, AnyArray x, Result sums) {
+  return WithType(x, [&](auto* type) {
+    const auto* in = Data(x, type);
+    SumTwo(Pieces(x), pool, sums->typed_data(),
+           [&](int64_t at, int64_t, int64_t n, Vec* first, Vec* second) {
+             const Vec v = LoadSome(in + at, n);
+             *first += v;
+             *second += v * v;
+           });
+  });
 }
 
-ffi::Error Activated(ffi::ThreadPool pool, Array x, Array gain, Array offset, Result y,
+ffi::Error Activated(ffi::ThreadPool pool, AnyArray x, Array gain, Array offset, AnyResult y,
                      int64_t activation) {
   const Pieces p(x);
   Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
-  const float* in = x.typed_data();
-  float* out = y->typed_data();
-  WithActivation(activation, [&](auto kind) {
-    ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
-      p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
+  return WithType(x, [&](auto* type) {
+    const auto* in = Data(x, type);
+    auto* out = Data(*y, type);
+    WithActivation(activation, [&](auto kind) {
+      ForAll(p, pool, [&, g = g.data(), o = o.data()](int64_t at, int64_t i, int64_t n) {
         Vec value, slope;
-        Activate<kind>(LoadSome(in + at, n) * Load(&g[phase]) + Load(&o[phase]), &value, &slope);
+        Activate<kind>(LoadSome(in + at, n) * Load(g + i * kLanes) + Load(o + i * kLanes), &value,
+                       &slope);
         StoreSome(out + at, value, n);
       });
     });
   });
-  return ffi::Error::Success();
 }
 
 // Sums of dz and of dz x, for dz = dy f'(gain x + offset).
-ffi::Error GradientSums(ffi::ThreadPool pool, Array x, Array dy, Array gain, Array offset,
+ffi::Error GradientSums(ffi::ThreadPool pool, AnyArray x, AnyArray dy, Array gain, Array offset,
                         Result sums, int64_t activation) {
   const Pieces p(x);
   Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
-  const float *in = x.typed_data(), *din = dy.typed_data();
-  WithActivation(activation, [&](auto kind) {
-    SumTwo(p, pool, sums->typed_data(),
-           [&](int64_t at, int64_t phase, int64_t n, Vec* first, Vec* second) {
-             const Vec v = LoadSome(in + at, n);
-             Vec value, slope;
-             Activate<kind>(v * Load(&g[phase]) + Load(&o[phase]), &value, &slope);
-             const Vec dz = LoadSome(din + at, n) * slope;
-             *first += dz;
-             *second += dz * v;
-           });
+  return WithType(x, [&](auto* type) {
+    const auto *in = Data(x, type), *din = Data(dy, type);
+    WithActivation(activation, [&](auto kind) {
+      SumTwo(p, pool, sums->typed_data(),
+             [&, g = g.data(), o = o.data()](int64_t at, int64_t i, int64_t n, Vec* first,
+                                             Vec* second) {
+               const Vec v = LoadSome(in + at, n);
+               Vec value, slope;
+               Activate<kind>(v * Load(g + i * kLanes) + Load(o + i * kLanes), &value, &slope);
+               const Vec dz = LoadSome(din + at, n) * slope;
+               *first += dz;
+               *second += dz * v;
+             });
+    });
   });
-  return ffi::Error::Success();
 }
 
 // dx = gain dz + slope x + constant.
-ffi::Error InputGradient(ffi::ThreadPool pool, Array x, Array dy, Array gain, Array offset,
-                         Array slope, Array constant, Result dx, int64_t activation) {
+ffi::Error InputGradient(ffi::ThreadPool pool, AnyArray x, AnyArray dy, Array gain, Array offset,
+                         Array slope, Array constant, AnyResult dx, int64_t activation) {
   const Pieces p(x);
   Scratch<float> g = p.Repeat(gain.typed_data()), o = p.Repeat(offset.typed_data());
   Scratch<float> s = p.Repeat(slope.typed_data()), c = p.Repeat(constant.typed_data());
-  const float *in = x.typed_data(), *din = dy.typed_data();
-  float* out = dx->typed_data();
-  WithActivation(activation, [&](auto kind) {
-    ParallelFor(pool, p.samples * p.count, [&](int64_t item) {
-      p.ForVectors(item / p.count, item % p.count, [&](int64_t at, int64_t phase, int64_t n) {
-        const Vec v = LoadSome(in + at, n), gained = Load(&g[phase]);
+  return WithType(x, [&](auto* type) {
+    const auto *in = Data(x, type), *din = Data(dy, type);
+    auto* out = Data(*dx, type);
+    WithActivation(activation, [&](auto kind) {
+      ForAll(p, pool, [&, g = g.data(), o = o.data(), s = s.data(), c = c.data()](
+                          int64_t at, int64_t i, int64_t n) {
+        const Vec v = LoadSome(in + at, n), gained = Load(g + i * kLanes);
         Vec value, f;
-        Activate<kind>(v * gained + Load(&o[phase]), &value, &f);
-        StoreSome(out + at,
-                  gained * (LoadSome(din + at, n) * f) + Load(&s[phase]) * v + Load(&c[phase]), n);
+        Activate<kind>(v * gained + Load(o + i * kLanes), &value, &f);
+        const Vec dz = LoadSome(din + at, n) * f;
+        StoreSome(out + at, gained * dz + Load(s + i * kLanes) * v + Load(c + i * kLanes), n);
       });
     });
   });
-  return ffi::Error::Success();
 }
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_moments, Moments,
-                              ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().Arg<Array>().Ret<Array>());
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_activated, Activated,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Attr<int64_t>("activation"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_gradient_sums, GradientSums,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Attr<int64_t>("activation"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_input_gradient, InputGradient,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Attr<int64_t>("activation"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_deconv, Deconv,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Attr<bool>("mixed"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_deconv_gradient, DeconvGradient,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Ret<Array>()
-                                  .Attr<bool>("mixed"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_conv, Conv,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Attr<bool>("mixed"));
-XLA_FFI_DEFINE_HANDLER_SYMBOL(cvn_conv_gradient, ConvGradient,
-                              ffi::Ffi::Bind()
-                                  .Ctx<ffi::ThreadPool>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Arg<Array>()
-                                  .Ret<Array>()
-                                  .Ret<Array>()
-                                  .Attr<bool>("mixed"));
+#define CVN_KERNEL(name, function) \
+  XLA_FFI_DEFINE_HANDLER_SYMBOL(name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()
+
+CVN_KERNEL(cvn_deconv, Deconv).Arg<AnyArray>().Arg<Array>().Ret<AnyArray>());
+CVN_KERNEL(cvn_deconv_gradient, DeconvGradient)
+    .Arg<AnyArray>().Arg<Array>().Arg<AnyArray>().Ret<AnyArray>().Ret<Array>());
+CVN_KERNEL(cvn_conv, Conv).Arg<AnyArray>().Arg<Array>().Ret<Array>());
+CVN_KERNEL(cvn_conv_gradient, ConvGradient)
+    .Arg<AnyArray>().Arg<Array>().Arg<Array>().Ret<AnyArray>().Ret<Array>());
+CVN_KERNEL(cvn_moments, Moments).Arg<AnyArray>().Ret<Array>());
+CVN_KERNEL(cvn_activated, Activated)
+    .Arg<AnyArray>().Arg<Array>().Arg<Array>().Ret<AnyArray>().Attr<int64_t>("activation"));
+CVN_KERNEL(cvn_gradient_sums, GradientSums)
+    .Arg<AnyArray>().Arg<AnyArray>().Arg<Array>().Arg<Array>().Ret<Array>()
+    .Attr<int64_t>("activation"));
+CVN_KERNEL(cvn_input_gradient, InputGradient)
+    .Arg<AnyArray>().Arg<AnyArray>().Arg<Array>().Arg<Array>().Arg<Array>().Arg<Array>()
+    .Ret<AnyArray>().Attr<int64_t>("activation"));

@@ -5,6 +5,8 @@ batch variance). In training the collection `batch_stats` that `apply` returns h
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
@@ -74,26 +76,25 @@ class Conv2D(nn.Module):
 
 
 class Deconv3D(nn.Module):
-  """[B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, features]."""
+  """[B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, features], of the input's type or another one."""
 
   features: int
   activation: Activation = ELU
-  mixed: bool = False
+  dtype: Any = None
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.deconv(x, kernel, self.mixed), self.activation, train)
+    return _finish(self, deconv.deconv(x, kernel, self.dtype), self.activation, train)
 
 
 class Conv3D(nn.Module):
-  """[B, X, Y, Z, in] -> [B, X, Y, Z, features], from 3x3x3 voxels."""
+  """[B, X, Y, Z, in] -> [B, X, Y, Z, features] float32, from 3x3x3 voxels."""
 
   features: int
   activation: Activation = IDENTITY
-  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.conv(x, kernel, self.mixed), self.activation, train)
+    return _finish(self, deconv.conv(x, kernel), self.activation, train)

@@ -18,7 +18,6 @@ import tempfile
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import jaxlib
 from absl import logging
 
@@ -55,19 +54,17 @@ def available() -> bool:
   return True
 
 
-def call(name: str, shapes: Sequence[tuple[int, ...]], *arrays: jax.Array, **attributes):
-  """Calls a kernel on a CPU.
+def call(
+  name: str, results: Sequence[jax.ShapeDtypeStruct], *arrays: jax.Array, **attributes
+) -> Sequence[jax.Array]:
+  """Calls a kernel; it is there on a CPU, where `available`.
 
   Args:
     name: one of `KERNELS`.
-    shapes: of the results, all float32.
-    *arrays: float32.
-    **attributes: bool or numpy integers.
-
-  Returns:
-    The list of results.
+    results: their shapes and types.
+    *arrays: what it takes.
+    **attributes: numpy integers.
   """
-  results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
   return jax.ffi.ffi_call(name, results)(*arrays, **attributes)
 
 

@@ -1,13 +1,15 @@
 """The networks: one encoder and decoder trunk, and the heads that make volumes of it (section 3.4).
 
 Images are [B, H, W, 3] in [0, 1]; volumes [B, X, Y, Z, C]. `apply(variables, image, train=...)`
-uses batch statistics when `train`, else the running ones in `variables['batch_stats']`. A `mixed`
-network multiplies bfloat16 numbers; parameters, sums and statistics are float32 all the same.
+uses batch statistics when `train`, else the running ones in `variables['batch_stats']`. Features
+of a `mixed` network's volumes, where nearly all the work is, are bfloat16; parameters, sums,
+statistics and all that comes out are float32.
 """
 
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from flax import linen as nn
 
 from cvn.camera import IMAGE_SIZE
@@ -46,12 +48,10 @@ class Encoder(nn.Module):
 class Decoder(nn.Module):
   """[B, s, s, s, 128] -> [B, 8 s, 8 s, 8 s, 32]."""
 
-  mixed: bool = False
-
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     for i, channels in enumerate(DECODER):
-      x = Deconv3D(channels, mixed=self.mixed, name=f'deconv{i}')(x, train)
+      x = Deconv3D(channels, name=f'deconv{i}')(x, train)
     return x
 
 
@@ -70,7 +70,8 @@ class Trunk(nn.Module):
       )
     s = self.grid_size // 2 ** (len(DECODER) + 1)
     x = Encoder(s**3 * 128, name='encoder')(image, train)
-    return Decoder(self.mixed, name='decoder')(x.reshape(-1, s, s, s, 128), train)
+    x = x.astype(jnp.bfloat16 if self.mixed else jnp.float32)
+    return Decoder(name='decoder')(x.reshape(-1, s, s, s, 128), train)
 
 
 class Head(nn.Module):
@@ -79,30 +80,27 @@ class Head(nn.Module):
   hidden: int
   features: int
   activation: Activation = IDENTITY
-  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    x = Deconv3D(self.hidden, mixed=self.mixed, name='deconv')(x, train)
-    return Conv3D(self.features, self.activation, self.mixed, name='conv')(x, train)
+    x = Deconv3D(self.hidden, name='deconv')(x, train)
+    return Conv3D(self.features, self.activation, name='conv')(x, train)
 
 
 class FlowHead(nn.Module):
   """The flow volume comes from one deconvolution, as in the authors' program."""
 
-  mixed: bool = False
-
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    return Deconv3D(2, SIGMOID, self.mixed, name='deconv')(x, train)
+    return Deconv3D(2, SIGMOID, jnp.float32, name='deconv')(x, train)
 
 
-def _color_heads(x: jax.Array, train: bool, mixed: bool) -> ColorVolumes:
+def _color_heads(x: jax.Array, train: bool) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
-    Head(16, 3, SIGMOID, mixed, name='regressed')(x, train),
-    FlowHead(mixed, name='flow')(x, train),
-    1 - Head(16, 1, SIGMOID, mixed, name='weight')(x, train),
+    Head(16, 3, SIGMOID, name='regressed')(x, train),
+    FlowHead(name='flow')(x, train),
+    1 - Head(16, 1, SIGMOID, name='weight')(x, train),
   )
 
 
@@ -116,7 +114,7 @@ class ShapeNetwork(nn.Module):
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 1, mixed=self.mixed, name='head')(x, train)
+    return Head(24, 1, name='head')(x, train)
 
 
 class ColorNetwork(nn.Module):
@@ -129,7 +127,7 @@ class ColorNetwork(nn.Module):
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> ColorVolumes:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return _color_heads(x, train, self.mixed)
+    return _color_heads(x, train)
 
 
 class JointNetwork(nn.Module):
@@ -142,7 +140,7 @@ class JointNetwork(nn.Module):
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> tuple[jax.Array, ColorVolumes]:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 1, mixed=self.mixed, name='head')(x, train), _color_heads(x, train, self.mixed)
+    return Head(24, 1, name='head')(x, train), _color_heads(x, train)
 
 
 class AdaptedR2N2(nn.Module):
@@ -159,4 +157,4 @@ class AdaptedR2N2(nn.Module):
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 3, mixed=self.mixed, name='head')(x, train)
+    return Head(24, 3, name='head')(x, train)

@@ -91,23 +91,24 @@ def _sums(x):
   """Sums [2, C] of x and of its square."""
 
   def kernel(x):
-    return native.call('cvn_moments', [(len(x), 2, x.shape[-1])], x)[0].sum(0)
+    return native.call('cvn_moments', [_sums_of(x)], x)[0].sum(0)
 
   def loops(x):
     axes = tuple(range(x.ndim - 1))
+    x = x.astype(jnp.float32)
     return jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)])
 
   return _by_platform(kernel, loops, x)
 
 
 def _activated(x, gain, offset, activation):
-  """activation(gain x + offset)."""
+  """activation(gain x + offset), of the type of x."""
 
   def kernel(x, *vectors):
-    return native.call('cvn_activated', [x.shape], x, *vectors, activation=activation.number)[0]
+    return native.call('cvn_activated', [_like(x)], x, *vectors, activation=activation.number)[0]
 
   def loops(x, gain, offset):
-    return activation.value(x * _spread(gain, x) + _spread(offset, x))
+    return activation.value(x * _spread(gain, x) + _spread(offset, x)).astype(x.dtype)
 
   return _by_platform(kernel, loops, x, gain, offset)
 
@@ -116,11 +117,13 @@ def _gradient_sums(x, y, dy, gain, offset, activation):
   """Sums [2, C] of dz and of dz x, for y = activation(gain x + offset)."""
 
   def kernel(x, y, dy, *vectors):
-    shape, number = (len(x), 2, x.shape[-1]), activation.number
-    return native.call('cvn_gradient_sums', [shape], x, dy, *vectors, activation=number)[0].sum(0)
+    number = activation.number
+    sums = native.call('cvn_gradient_sums', [_sums_of(x)], x, dy, *vectors, activation=number)[0]
+    return sums.sum(0)
 
   def loops(x, y, dy, gain, offset):
     axes = tuple(range(x.ndim - 1))
+    x, y, dy = (v.astype(jnp.float32) for v in (x, y, dy))
     dz = dy * activation.slope(y)
     return jnp.stack([jnp.sum(dz, axes), jnp.sum(dz * x, axes)])
 
@@ -128,17 +131,26 @@ def _gradient_sums(x, y, dy, gain, offset, activation):
 
 
 def _input_gradient(x, y, dy, gain, offset, slope, rest, activation):
-  """gain dz + slope x + rest."""
+  """gain dz + slope x + rest, of the type of x."""
 
   def kernel(x, y, dy, *vectors):
     number = activation.number
-    return native.call('cvn_input_gradient', [x.shape], x, dy, *vectors, activation=number)[0]
+    return native.call('cvn_input_gradient', [_like(x)], x, dy, *vectors, activation=number)[0]
 
   def loops(x, y, dy, gain, offset, slope, rest):
-    dz = dy * activation.slope(y)
-    return dz * _spread(gain, x) + x * _spread(slope, x) + _spread(rest, x)
+    dz = dy.astype(jnp.float32) * activation.slope(y.astype(jnp.float32))
+    dx = dz * _spread(gain, x) + x * _spread(slope, x) + _spread(rest, x)
+    return dx.astype(x.dtype)
 
   return _by_platform(kernel, loops, x, y, dy, gain, offset, slope, rest)
+
+
+def _sums_of(x):
+  return jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32)
+
+
+def _like(x):
+  return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
 def _by_platform(kernel, loops, x, *others):

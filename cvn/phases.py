@@ -40,7 +40,7 @@ def deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
     for j in (0, 1)
     for k in (0, 1)
   ]
-  y = jnp.concatenate(shifted, axis=-1).reshape(-1, 8 * cin) @ _matrix(_DECONV_TAPS, kernel)
+  y = jnp.concatenate(shifted, axis=-1).reshape(-1, 8 * cin) @ deconv_matrix(kernel)
   return _interleave(y.reshape(b, sx, sy, sz, 2, 2, 2, cout))
 
 
@@ -54,11 +54,21 @@ def conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
   x = jnp.pad(x, ((0, 0), *((0, s % 2) for s in sizes), (0, 0)))
   b, sx, sy, sz, cin = x.shape
   blocks = x.reshape(b, sx // 2, 2, sy // 2, 2, sz // 2, 2, cin).transpose(0, 1, 3, 5, 2, 4, 6, 7)
-  y = blocks.reshape(-1, 8 * cin) @ _matrix(_CONV_TAPS, kernel)
+  y = blocks.reshape(-1, 8 * cin) @ conv_matrix(kernel)
   y = y.reshape(b, sx // 2, sy // 2, sz // 2, 4, 4, 4, kernel.shape[-1])
   for axis in (1, 2, 3):
     y = _add_overlaps(y, axis, axis + 3)
   return _interleave(y)[:, : sizes[0], : sizes[1], : sizes[2]]
+
+
+def deconv_matrix(kernel: jax.Array) -> jax.Array:
+  """[8 * in, 8 * out]: from an input and the seven before it to the eight voxels of its block."""
+  return _matrix(_DECONV_TAPS, kernel)
+
+
+def conv_matrix(kernel: jax.Array) -> jax.Array:
+  """[8 * in, 64 * out]: from a block's eight voxels to the 4^3 they reach."""
+  return _matrix(_CONV_TAPS, kernel)
 
 
 def _interleave(phases: jax.Array) -> jax.Array:
