@@ -4,9 +4,6 @@ PYTHON ?= python3.11
 VENV := .venv
 READY := $(VENV)/ready
 
-# Big buffers in huge pages: about a quarter off a training step on Linux. Needed nowhere.
-export GLIBC_TUNABLES ?= glibc.malloc.hugetlb=1
-
 .PHONY: demo test test-all clean
 
 demo: $(READY)

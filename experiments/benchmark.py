@@ -17,7 +17,7 @@ import jaxlib
 import numpy as np
 from absl import flags
 
-from cvn import errors, train
+from cvn import environment, errors, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.grid import GRID_SIZE
@@ -88,5 +88,6 @@ def make_batch(size: int) -> Batch:
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)

@@ -24,7 +24,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import baselines, blending, checkpoint, data, errors, metrics, reconstruct
+from cvn import baselines, blending, checkpoint, data, environment, errors, metrics, reconstruct
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
@@ -248,5 +248,6 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)

@@ -17,7 +17,7 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import blending, checkpoint, errors, export, figures, photo, reconstruct
+from cvn import blending, checkpoint, environment, errors, export, figures, photo, reconstruct
 from cvn.errors import UserError
 from cvn.files import atomic_write
 
@@ -124,5 +124,6 @@ def reconstruct_file(path: str, stem: str, shape, color, *, alpha: float, thresh
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)

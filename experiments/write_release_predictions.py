@@ -22,7 +22,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, checkpoint, data, errors, reconstruct
+from cvn import blending, checkpoint, data, environment, errors, reconstruct
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from datagen import release
@@ -113,5 +113,6 @@ def write_model(
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)

@@ -1,0 +1,75 @@
+"""Process settings: what they do is seen from outside, in a process of its own."""
+
+import os
+import resource
+import subprocess
+import sys
+
+import jax
+import pytest
+
+from cvn import environment
+
+# Page faults of touching 64 MiB that were freed just before.
+FAULTS = """
+import resource
+from cvn import environment
+environment.prepare()
+for _ in range(3):
+  before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+  b'x' * (1 << 26)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+PAGES = (1 << 26) // resource.getpagesize()
+
+
+def run(code, **variables):
+  """What a program prints."""
+  inherited = {k: v for k, v in os.environ.items() if k != 'GLIBC_TUNABLES'}
+  done = subprocess.run(
+    [sys.executable, '-c', code],
+    env={**inherited, **variables},
+    capture_output=True,
+    text=True,
+    check=True,
+  )
+  return done.stdout.strip()
+
+
+@pytest.fixture
+def cache_folder():
+  """JAX's setting, put back as it was."""
+  before = jax.config.jax_compilation_cache_dir
+  yield before
+  jax.config.update('jax_compilation_cache_dir', before)
+
+
+@pytest.mark.skipif(environment.libc() != 'glibc', reason="needs GNU's C library")
+def test_freed_memory_is_used_again_without_page_faults():
+  assert int(run(FAULTS)) < PAGES / 100
+  assert int(run(FAULTS, GLIBC_TUNABLES='glibc.malloc.hugetlb=0')) > PAGES / 2
+
+
+def test_another_c_library_is_left_alone(monkeypatch):
+  monkeypatch.setattr(environment, 'libc', lambda: '')
+  assert not environment.keep_memory()
+
+
+def test_folder_is_made_and_an_unwritable_one_left_out(tmp_path, cache_folder):
+  assert environment.keep_programs(tmp_path / 'a' / 'b')
+  assert jax.config.jax_compilation_cache_dir == str(tmp_path / 'a' / 'b')
+  jax.config.update('jax_compilation_cache_dir', cache_folder)
+  (tmp_path / 'file').write_text('')
+  assert not environment.keep_programs(tmp_path / 'file')
+  assert jax.config.jax_compilation_cache_dir == cache_folder
+
+
+def test_default_folder_follows_the_users_setting(tmp_path, monkeypatch, cache_folder):
+  monkeypatch.setenv('GLIBC_TUNABLES', 'glibc.malloc.hugetlb=0')
+  monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+  jax.config.update('jax_compilation_cache_dir', None)
+  environment.prepare()
+  assert jax.config.jax_compilation_cache_dir == str(tmp_path / 'cvn' / 'jax')
+  jax.config.update('jax_compilation_cache_dir', 'chosen')
+  environment.prepare()
+  assert jax.config.jax_compilation_cache_dir == 'chosen'
