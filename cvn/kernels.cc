@@ -736,10 +736,10 @@ Vec SumLanes(Vec* v) {
 
 // Sixteen voxels of one output: `from` are the taps' rows, `weight` is [27][wide].
 template <typename Width>
-Vec Convolve16(const float* const* from, int64_t at, const float* weight, Width wide) {
+Vec Convolve16(const float* const* from, const float* weight, Width wide) {
   Vec sum[16] = {};
   for (int t = 0; t < kTaps; ++t) {
-    const float* row = from[t] + at;
+    const float* row = from[t];
     for (int64_t c = 0; c < wide; c += kLanes) {
       const Vec factor = Load(weight + t * wide + c);
 #pragma GCC unroll 16
@@ -782,19 +782,19 @@ void ConvRows(const Volume& s, const In* in, const float* w, ffi::ThreadPool& po
     fill(first);
     for (int64_t x = first; x < last; ++x) {
       fill(x + 1);
-      for (int64_t y = 0; y < ny; ++y) {
-        float* to = out + ((sample * nx + x) * ny + y) * nz * s.cout;
-        const float* from[kTaps];
-        for (int t = 0; t < kTaps; ++t) {
-          from[t] = plane_at(x + t / 9 - 1) + (y + t / 3 % 3) * row_size + t % 3 * wide;
-        }
-        for (int64_t o = 0; o < s.cout; ++o) {
-          for (int64_t z = 0; z < nz; z += kLanes) {
+      const float* const planes[3] = {plane_at(x - 1), plane_at(x), plane_at(x + 1)};
+      // Along y first: two thirds of what a voxel reads is then in the nearest cache.
+      for (int64_t z = 0; z < nz; z += kLanes) {
+        for (int64_t y = 0; y < ny; ++y) {
+          const float* from[kTaps];
+          for (int t = 0; t < kTaps; ++t) {
+            from[t] = planes[t / 9] + (y + t / 3 % 3) * row_size + (z + t % 3) * wide;
+          }
+          float* to = out + (((sample * nx + x) * ny + y) * nz + z) * s.cout;
+          for (int64_t o = 0; o < s.cout; ++o) {
             WithWidth(wide, [&](auto width) {
-              const Vec sums = Convolve16(from, z * wide, weight.data() + o * kTaps * wide, width);
-              for (int64_t i = 0; i < std::min(kLanes, nz - z); ++i) {
-                to[(z + i) * s.cout + o] = sums[i];
-              }
+              const Vec sums = Convolve16(from, weight.data() + o * kTaps * wide, width);
+              for (int64_t i = 0; i < std::min(kLanes, nz - z); ++i) to[i * s.cout + o] = sums[i];
             });
           }
         }
