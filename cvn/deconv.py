@@ -81,7 +81,7 @@ def _deconv_backward(dtype, residuals, dy):
 
   def kernels(x, kernel, dy):
     results = [_like(x), jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)]
-    dx, dkernel = native.call('cvn_deconv_gradient', results, x, kernel, dy)
+    dx, dkernel = native.call('cvn_deconv_gradient', results, x, kernel, dy, volumes=(0, 2))
     return dx, _sum_samples(dkernel)
 
   return _gradient_by_platform(kernels, phases.deconv, library_deconv, *residuals, dy)
@@ -95,7 +95,7 @@ def _conv_backward(residuals, dy):
   def kernels(x, kernel, dy):
     shape = (len(x), kernel.shape[-1], *kernel.shape[:-1])
     results = [_like(x), jax.ShapeDtypeStruct(shape, jnp.float32)]
-    dx, dkernel = native.call('cvn_conv_gradient', results, x, kernel, dy)
+    dx, dkernel = native.call('cvn_conv_gradient', results, x, kernel, dy, volumes=(0, 2))
     return dx, jnp.moveaxis(_sum_samples(dkernel), 0, -1)
 
   return _gradient_by_platform(kernels, phases.conv, library_conv, *residuals, dy)

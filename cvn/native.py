@@ -9,6 +9,7 @@ that tells of the source, the compiler, the processor and the version of jaxlib.
 import ctypes
 import functools
 import hashlib
+import itertools
 import os
 import pathlib
 import platform
@@ -20,6 +21,8 @@ from collections.abc import Sequence
 import jax
 import jaxlib
 from absl import logging
+from jax.experimental.custom_partitioning import custom_partitioning
+from jax.sharding import NamedSharding, PartitionSpec
 
 SOURCE = pathlib.Path(__file__).with_name('kernels.cc')
 KERNELS = (
@@ -55,17 +58,54 @@ def available() -> bool:
 
 
 def call(
-  name: str, results: Sequence[jax.ShapeDtypeStruct], *arrays: jax.Array, **attributes
+  name: str,
+  results: Sequence[jax.ShapeDtypeStruct],
+  *arrays: jax.Array,
+  volumes: Sequence[int] = (0,),
+  **attributes,
 ) -> Sequence[jax.Array]:
   """Calls a kernel; it is there on a CPU, where `available`.
 
+  Where a batch is spread over devices, each calls it for its own samples.
+
   Args:
     name: one of `KERNELS`.
-    results: their shapes and types.
+    results: their shapes and types; the first axis is the batch's.
     *arrays: what it takes.
+    volumes: which of them have the batch as first axis, the first among them; all devices need the
+      others whole.
     **attributes: numpy integers.
   """
-  return jax.ffi.ffi_call(name, results)(*arrays, **attributes)
+
+  def run(*arrays):
+    local = [jax.ShapeDtypeStruct((len(arrays[0]), *r.shape[1:]), r.dtype) for r in results]
+    return tuple(jax.ffi.ffi_call(name, local)(*arrays, **attributes))
+
+  if jax.device_count() == 1:  # the partitioner's callbacks would miss the compilation cache
+    return run(*arrays)
+
+  def partition(mesh, arguments, _):
+    spec = arguments[0].sharding.spec
+    batch = NamedSharding(mesh, PartitionSpec(spec[0] if len(spec) else None))
+    whole = NamedSharding(mesh, PartitionSpec())
+    shardings = [batch if i in volumes else whole for i in range(len(arrays))]
+    return mesh, run, (batch,) * len(results), tuple(shardings)
+
+  spread = custom_partitioning(run)
+  spread.def_partition(partition, sharding_rule=_rule(arrays, results, volumes))
+  return spread(*arrays)
+
+
+def _rule(arrays, results, volumes) -> str:
+  """How axes of arguments and results go together, for the partitioner: only the batch's do."""
+  names = itertools.count()
+
+  def axes(array, has_batch):
+    found = [f'a{next(names)}' for _ in array.shape]
+    return ' '.join((['batch', *found[1:]] if has_batch else found) or [''])
+
+  left = ', '.join(axes(a, i in volumes) for i, a in enumerate(arrays))
+  return f'{left} -> {", ".join(axes(r, True) for r in results)}'
 
 
 def build(folder: pathlib.Path | None = None) -> pathlib.Path:

@@ -117,9 +117,10 @@ def _gradient_sums(x, y, dy, gain, offset, activation):
   """Sums [2, C] of dz and of dz x, for y = activation(gain x + offset)."""
 
   def kernel(x, y, dy, *vectors):
-    number = activation.number
-    sums = native.call('cvn_gradient_sums', [_sums_of(x)], x, dy, *vectors, activation=number)[0]
-    return sums.sum(0)
+    arrays, number = (x, dy, *vectors), activation.number
+    results = [_sums_of(x)]
+    sums = native.call('cvn_gradient_sums', results, *arrays, volumes=(0, 1), activation=number)
+    return sums[0].sum(0)
 
   def loops(x, y, dy, gain, offset):
     axes = tuple(range(x.ndim - 1))
@@ -134,8 +135,10 @@ def _input_gradient(x, y, dy, gain, offset, slope, rest, activation):
   """gain dz + slope x + rest, of the type of x."""
 
   def kernel(x, y, dy, *vectors):
-    number = activation.number
-    return native.call('cvn_input_gradient', [_like(x)], x, dy, *vectors, activation=number)[0]
+    arrays, number = (x, dy, *vectors), activation.number
+    results = [_like(x)]
+    dx = native.call('cvn_input_gradient', results, *arrays, volumes=(0, 1), activation=number)
+    return dx[0]
 
   def loops(x, y, dy, gain, offset, slope, rest):
     dz = dy.astype(jnp.float32) * activation.slope(y.astype(jnp.float32))

@@ -1,0 +1,102 @@
+"""Building and loading the kernels, doing without them, and spreading them over devices."""
+
+import os
+import re
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+
+from cvn import deconv, native, normalization
+
+HAS_COMPILER = native.available()
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason='no C++ compiler here')
+def test_build_compiles_once_and_leaves_nothing_else(tmp_path, monkeypatch):
+  runs = []
+  compile_once = native._compile
+
+  def counted(command):
+    runs.append(command)
+    # Without optimisation: quick, and enough to be a library.
+    compile_once([c for c in command if c != '-O3'])
+
+  monkeypatch.setattr(native, '_compile', counted)
+  path = native.build(tmp_path / 'cache')
+  assert native.build(tmp_path / 'cache') == path and len(runs) == 1
+  assert os.listdir(tmp_path / 'cache') == [path.name]
+
+
+def test_a_source_that_does_not_compile_leaves_nothing(tmp_path, monkeypatch):
+  if not HAS_COMPILER:
+    pytest.skip('no C++ compiler here')
+  source = tmp_path / 'kernels.cc'
+  source.write_text('this is no C++')
+  monkeypatch.setattr(native, 'SOURCE', source)
+  with pytest.raises(subprocess.CalledProcessError):
+    native.build(tmp_path / 'cache')
+  assert not os.listdir(tmp_path / 'cache')
+
+
+def run_python(tmp_path, **environment):
+  """Takes a gradient in a process of its own; what it prints."""
+  code = (
+    'import jax, jax.numpy as jnp; from cvn import deconv, native;'
+    'f = jax.grad(lambda k: (deconv.deconv(jnp.ones((1, 2, 2, 2, 3)), k) ** 2).sum());'
+    'print(native.available(), float(f(jnp.ones((3, 3, 3, 3, 2))).sum()))'
+  )
+  environment = os.environ | {'XDG_CACHE_HOME': str(tmp_path)} | environment
+  return subprocess.run(
+    [sys.executable, '-c', code], env=environment, capture_output=True, text=True, timeout=300
+  )
+
+
+def test_without_a_compiler_one_line_says_so_and_all_works(tmp_path):
+  done = run_python(tmp_path, CXX='no-such-compiler')
+  off = run_python(tmp_path, CVN_KERNELS='off')
+  assert done.returncode == off.returncode == 0, done.stderr
+  assert done.stdout == off.stdout and done.stdout.startswith('False ')
+  lines = done.stderr.splitlines()
+  assert len(lines) == 1 and 'no C++ compiler: no-such-compiler' in lines[0]
+  assert not off.stderr
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason='no C++ compiler here')
+def test_a_cache_that_cannot_be_written_is_no_failure(tmp_path):
+  (tmp_path / 'cvn').write_text('a file where the folder is due')
+  done = run_python(tmp_path)
+  assert done.returncode == 0 and done.stdout.startswith('False '), done.stderr
+  assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason='no C++ compiler here')
+def test_devices_take_their_own_samples():
+  """A step over four devices gives what one gives, and sends no volume from one to another."""
+  rng = np.random.default_rng(0)
+  x = rng.standard_normal((8, 4, 4, 4, 8), dtype=np.float32)
+  weights = [
+    rng.standard_normal(shape, dtype=np.float32)
+    for shape in ((3, 3, 3, 8, 16), (3, 3, 3, 16, 1), (16,), (16,))
+  ]
+
+  @jax.jit
+  def step(x, weights):
+    def loss(w):
+      y = normalization.normalize(deconv.deconv(x, w[0]), w[2], w[3], normalization.ELU)[0]
+      return jnp.sum(deconv.conv(y, w[1]) ** 2)
+
+    return jax.value_and_grad(loss)(weights)
+
+  mesh = jax.make_mesh((4,), ('batch',), axis_types=(AxisType.Auto,))
+  parts, whole = (NamedSharding(mesh, PartitionSpec(*s)) for s in (['batch'], []))
+  spread = jax.device_put(x, parts), jax.device_put(weights, whole)
+  for a, b in zip(jax.tree.leaves(step(*spread)), jax.tree.leaves(step(x, weights)), strict=True):
+    np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5 * float(jnp.abs(b).max()))
+  program = step.lower(*spread).compile().as_text()
+  assert set(re.findall('cvn_[a-z_]+', program)) == set(native.KERNELS)
+  assert 'all-reduce' in program and 'all-gather' not in program
