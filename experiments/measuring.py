@@ -1,0 +1,236 @@
+"""What experiments.benchmark measures, each figure in a process of its own.
+
+So no figure knows of another's compiled programs, memory or threads, and the peak of a process is
+the peak of what it measured. Batches are noise of the shapes that training meets.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import platform
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, NamedTuple
+from unittest import mock
+
+import flax
+import jax
+import jaxlib
+import numpy as np
+
+from cvn import data, deconv, environment, native, reconstruct, train
+from cvn.camera import IMAGE_SIZE
+from cvn.data import Batch
+from cvn.dataset import open_dataset
+from cvn.errors import UserError
+from cvn.grid import GRID_SIZE
+from cvn.machine import processor
+from cvn.recipe import PAPER
+from experiments import layer_table
+from experiments import train as program
+
+SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
+REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
+DATA_ROUNDS = 3
+DATA_STEPS = 10  # at least, in a round: more than is read ahead
+
+
+class Steps(NamedTuple):
+  """Training steps of one process."""
+
+  first: float  # s, with tracing and compiling
+  seconds: tuple[float, ...]  # of each step after it
+  peak: int  # bytes of memory, of the whole process
+  device_peak: int | None  # bytes of the device's own memory, where it has any
+
+
+class DataTimes(NamedTuple):
+  """Seconds a step."""
+
+  synthetic: float  # with one batch over and over
+  real: float  # with batches that are read meanwhile
+
+
+def alone(function: Callable, *args, programs: str | None = None) -> Any:
+  """function(*args), in a new process with the settings of the training program.
+
+  Args:
+    function: of a module, so that its name can be sent.
+    *args: what can be pickled.
+    programs: the folder of compiled programs; None for the user's own.
+
+  Raises:
+    UserError: the process is killed, or it raises one itself.
+  """
+  context = multiprocessing.get_context('spawn')
+  with ProcessPoolExecutor(1, context, _start, (programs,)) as executor:
+    try:
+      return executor.submit(_call, function, *args).result()
+    except BrokenProcessPool as e:
+      raise UserError(
+        f'the process of {function.__name__} was killed; if memory is short, take a smaller'
+        ' --batch_size'
+      ) from e
+
+
+def _start(programs):
+  environment.prepare()
+  if programs is not None:
+    environment.keep_programs(programs)
+
+
+def _call(function, *args):
+  with program.out_of_memory_is_a_user_error():
+    return function(*args)
+
+
+def describe_machine() -> dict[str, Any]:
+  """The machine, the device and the versions that matter; builds the kernels where it must."""
+  device = jax.devices()[0]
+  on_cpu = device.platform == 'cpu'
+  kernels = on_cpu and native.available()
+  return {
+    'processor': processor(),
+    'cores': os.cpu_count(),
+    'devices': f'{len(jax.devices())} x {device.device_kind}',
+    'compiled kernels': kernels,
+    'tile units': kernels and _has_tiles(),
+    'versions': {
+      'Python': platform.python_version(),
+      'jax': jax.__version__,
+      'jaxlib': jaxlib.__version__,
+      'flax': flax.__version__,
+    },
+    'GLIBC_TUNABLES': os.environ.get('GLIBC_TUNABLES'),
+  }
+
+
+def time_steps(kind: str, batch_size: int, mixed: bool, steps: int) -> Steps:
+  """Whole training steps: forward, loss, backward, Adam.
+
+  Args:
+    kind: 'shape' or 'color'.
+    batch_size: views.
+    mixed: whether in mixed precision.
+    steps: how many are timed after the first.
+  """
+  batch = make_batch(batch_size)
+  state, step = (
+    train.create_state(jax.random.key(0), kind),
+    train.make_step(kind, PAPER, mixed=mixed),
+  )
+  seconds = []
+  for _ in range(steps + 1):
+    start = time.perf_counter()
+    state, _ = jax.block_until_ready(step(state, batch))
+    seconds.append(time.perf_counter() - start)
+  statistic = jax.devices()[0].memory_stats() or {}
+  return Steps(seconds[0], tuple(seconds[1:]), peak_memory(), statistic.get('peak_bytes_in_use'))
+
+
+def time_reference(kind: str) -> Steps:
+  """One step of `REFERENCE_BATCH` views with the library's (de)convolutions, float32."""
+  library = {
+    'deconv': lambda x, kernel, *_: deconv.library_deconv(x, kernel),
+    'conv': lambda x, kernel, *_: deconv.library_conv(x, kernel),
+  }
+  with mock.patch.multiple(deconv, **library):
+    return time_steps(kind, REFERENCE_BATCH, False, 1)
+
+
+def time_layers(
+  kind: str, batch_size: int, mixed: bool
+) -> tuple[layer_table.Peaks, list[layer_table.Row]]:
+  """The machine's peaks and the layers' times."""
+  peaks = layer_table.measure_peaks()
+  return peaks, layer_table.time_layers(kind, batch_size, mixed, peaks)
+
+
+def time_inference(repeats: int) -> tuple[float, ...]:
+  """Seconds of each reconstruction of one picture by both networks, after one that is not timed."""
+  states = [train.create_state(jax.random.key(0), kind) for kind in ('shape', 'color')]
+  variables = [{'params': s.params, 'batch_stats': s.batch_stats} for s in states]
+  view = np.random.default_rng(0).random((1, IMAGE_SIZE, IMAGE_SIZE, 4), np.float32)
+  seconds = []
+  for _ in range(repeats + 1):
+    start = time.perf_counter()
+    jax.block_until_ready(reconstruct.reconstruct(*variables, view))
+    seconds.append(time.perf_counter() - start)
+  return tuple(seconds[1:])
+
+
+def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) -> DataTimes:
+  """Steps as the training program takes them, and the same on one batch of its over and over.
+
+  Args:
+    kind: 'shape' or 'color'.
+    batch_size: views.
+    mixed: whether in mixed precision.
+    steps: of each round, DATA_STEPS or more.
+    path: of the data set.
+
+  Raises:
+    UserError: there is no such data set, or it has too few models.
+  """
+  dataset = open_dataset(path)
+  program.check_sizes(dataset)
+  rows = data.select_rows(dataset, 'train')
+  batches = data.training_batches(
+    program.READERS[kind], dataset, rows, batch_size=batch_size, seed=0
+  )
+  put_batch, put_state = program.make_placement(batch_size)
+  state = put_state(train.create_state(jax.random.key(0), kind))
+  step = train.make_step(kind, PAPER, mixed=mixed)
+
+  def seconds_a_step(next_batch):
+    nonlocal state
+    start, before = time.perf_counter(), None
+    for _ in range(max(steps, DATA_STEPS)):
+      state, metrics = step(state, next_batch())
+      if before is not None:
+        float(before['loss'])  # as the training program waits for it
+      before = metrics
+    jax.block_until_ready(state)
+    return (time.perf_counter() - start) / max(steps, DATA_STEPS)
+
+  with contextlib.closing(data.iterate(batches)) as iterator:
+    same = put_batch(next(iterator))
+    state, _ = step(state, same)
+    rounds = [
+      (seconds_a_step(lambda: same), seconds_a_step(lambda: put_batch(next(iterator))))
+      for _ in range(DATA_ROUNDS)
+    ]
+  return DataTimes(*map(statistics.median, zip(*rounds, strict=True)))
+
+
+def make_batch(size: int) -> Batch:
+  """A batch of noise on the device."""
+  rng = np.random.default_rng(0)
+  return jax.device_put(
+    Batch(
+      image=rng.random((size, IMAGE_SIZE, IMAGE_SIZE, 3), np.float32),
+      index=rng.integers(0, GRID_SIZE, (size, SURFACE_VOXELS, 3)).astype(np.int32),
+      color=rng.random((size, SURFACE_VOXELS, 3), np.float32),
+      flow=rng.random((size, SURFACE_VOXELS, 2), np.float32),
+    )
+  )
+
+
+def peak_memory() -> int:
+  """The most memory that this process has had, bytes."""
+  unit = 1 if sys.platform == 'darwin' else 1024
+  return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def _has_tiles():
+  """Whether the processor has units (AMX) for bfloat16 matrices, which the kernels then use."""
+  try:
+    with open('/proc/cpuinfo') as f:
+      return any(line.startswith('flags') and 'amx_bf16' in line.split() for line in f)
+  except OSError:
+    return False

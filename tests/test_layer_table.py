@@ -1,0 +1,103 @@
+"""Counts of operations and bytes, floors and the table; times are no test's business."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import linen as nn
+
+from cvn import layers, train
+from experiments import layer_table
+from experiments.layer_table import Cost, Layer, Peaks, Row
+
+PEAKS = Peaks(float32=1e9, bfloat16=4e9, bandwidth=1e9)
+
+
+class Small(nn.Module):
+  """A layer of each kind, in place of a network."""
+
+  mixed: bool = False
+
+  @nn.compact
+  def __call__(self, image, train):
+    x = layers.Conv2D(8, 128, padding='VALID', name='conv')(image, train)
+    x = layers.Dense(16, name='dense')(x.reshape(len(x), -1), train)
+    x = layers.Deconv3D(3, name='deconv')(x.reshape(-1, 2, 2, 2, 2), train)
+    return layers.Conv3D(1, name='conv3')(x, train)
+
+
+def array(*shape, dtype=jnp.float32):
+  return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def test_layers_come_in_the_order_of_the_forward_pass():
+  found = layer_table.layers_of(train.NETWORKS['shape'], 2)
+  names = [layer.name for layer in found]
+  assert names[:2] == ['encoder/conv0', 'encoder/conv0/norm']
+  assert names[-4:] == ['head/deconv', 'head/deconv/norm', 'head/conv', 'head/conv/norm']
+  assert len(names) == 2 * (6 + 2 + 3 + 2)
+  sizes = {layer.name: layer.output.shape for layer in found}
+  assert sizes['head/deconv'] == (2, 64, 64, 64, 24)
+  assert sizes['encoder/latent1/norm'] == (2, 8192)
+
+
+def test_operations_by_hand():
+  found = {x.name: x for x in layer_table.layers_of(train.NETWORKS['shape'], 3)}
+  count = layer_table.count_operations
+  assert count(found['encoder/conv0']) == 2 * 3 * 64**2 * 7**2 * 3 * 64
+  assert count(found['encoder/latent0']) == 2 * 3 * 512 * 512
+  assert count(found['head/deconv']) == 2 * 3 * 32**3 * 27 * 32 * 24
+  assert count(found['head/conv']) == 2 * 3 * 64**3 * 27 * 24
+  assert count(found['head/deconv/norm']) == 0
+
+
+@pytest.mark.parametrize('dtype, size', [(jnp.float32, 4), (jnp.bfloat16, 2)])
+def test_bytes_by_hand(dtype, size):
+  x, y = array(2, 4, 4, 4, 5, dtype=dtype), array(2, 8, 8, 8, 3, dtype=dtype)
+  layer = Layer('', layers.Deconv3D(3), (x,), y)
+  read, kernel, written = size * 2 * 64 * 5, 4 * 27 * 5 * 3, size * 2 * 512 * 3
+  assert layer_table.count_bytes(layer, True) == (
+    read + kernel + written,
+    2 * read + 2 * kernel + written,
+  )
+  assert layer_table.count_bytes(layer, False)[1] == read + kernel + written
+  norm = Layer('', layers.Norm(layers.ELU), (y, array(3)), y)
+  assert layer_table.count_bytes(norm, True) == (3 * written, 5 * written)
+
+
+def test_rows_of_a_network(monkeypatch):
+  monkeypatch.setitem(train.NETWORKS, 'small', Small())
+  rows = layer_table.time_layers('small', 2, False, PEAKS)
+  assert [r.name for r in rows[::2]] == ['conv', 'dense', 'deconv', 'conv3']
+  first, dense = rows[0], rows[2]
+  assert first.backward.operations == first.forward.operations  # a picture needs no gradient
+  assert dense.backward.operations == 2 * dense.forward.operations == 4 * 2 * 8 * 16
+  for row in rows:
+    for cost in (row.forward, row.backward):
+      assert cost.seconds > 0
+      assert cost.floor == max(cost.operations / 1e9, cost.bytes / 1e9)
+
+
+def test_a_layer_with_weights_is_timed_without_its_normalisation():
+  module = layers.Dense(4)
+  x, kernel = jnp.ones((2, 3)), jnp.arange(12.0).reshape(3, 4)
+  found = layer_table._alone(module)({'kernel': kernel, 'bias': jnp.ones(4)}, x)
+  np.testing.assert_allclose(found, x @ kernel)
+
+
+def test_peaks_are_measured():
+  assert all(p > 0 for p in layer_table.measure_peaks(size=64, megabytes=1))
+
+
+def test_table():
+  cost = Cost(operations=2 * 10**6, bytes=10**6, floor=0.002, seconds=0.004)
+  norm = Cost(operations=0, bytes=10**6, floor=0.001, seconds=0.003)
+  rows = [
+    Row('a', (2, 8, 8, 3), 'float32', cost, cost),
+    Row('b', (2, 8, 8, 3), 'bfloat16', cost, norm),
+  ]
+  lines = layer_table.format_rows(rows, PEAKS).split('\n')
+  assert len({line.count('|') for line in lines}) == 1
+  assert lines[2].startswith('| a | 8x8x3 | 0.00 | 1.0 | 2.00 | 4.00 | 2.0 | 50% |')
+  assert lines[3].startswith('| b | 8x8x3 | 0.00 | 1.0 | 2.00 | 4.00 | 2.0 | 12% | 1.00 | 3.00 |')
+  assert '| 4.00 | 8.00 | 2.0 |' in lines[4] and '| 3.00 | 7.00 | 2.3 |' in lines[4]
