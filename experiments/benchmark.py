@@ -103,7 +103,8 @@ def measure(
     found['data'] = times._asdict()
     say(
       f'{name}: {times.real:.3f} s a step on {f.data}, {times.synthetic:.3f} s on one batch of it'
-      f' over and over ({times.real / times.synthetic - 1:+.1%})'
+      f' over and over ({times.real / times.synthetic - 1:+.1%}), peak memory'
+      f' {times.peak / 2**30:.2f} GiB'
     )
   if f.layers:
     tell(f'{name}: layers')

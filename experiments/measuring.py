@@ -50,10 +50,11 @@ class Steps(NamedTuple):
 
 
 class DataTimes(NamedTuple):
-  """Seconds a step."""
+  """Steps that are begun before the one before has ended, as in training."""
 
-  synthetic: float  # with one batch over and over
-  real: float  # with batches that are read meanwhile
+  synthetic: float  # s a step, with one batch over and over
+  real: float  # s a step, with batches that are read meanwhile
+  peak: int  # bytes of memory, of the whole process
 
 
 def alone(function: Callable, *args, programs: str | None = None) -> Any:
@@ -203,9 +204,9 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
     state, _ = step(state, same)
     rounds = [
       (seconds_a_step(lambda: same), seconds_a_step(lambda: put_batch(next(iterator))))
-      for _ in range(DATA_ROUNDS)
-    ]
-  return DataTimes(*map(statistics.median, zip(*rounds, strict=True)))
+      for _ in range(1 + DATA_ROUNDS)
+    ][1:]  # in the first one the memory for two steps is new
+  return DataTimes(*map(statistics.median, zip(*rounds, strict=True)), peak_memory())
 
 
 def make_batch(size: int) -> Batch:

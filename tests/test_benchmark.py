@@ -38,7 +38,7 @@ def calls(monkeypatch):
       9.0 / len(calls), (0.5,) * steps, 3 << 30, None
     ),
     'time_layers': lambda kind, size, mixed: (PEAKS, [ROW]),
-    'time_data': lambda kind, size, mixed, steps, path: measuring.DataTimes(0.5, 0.51),
+    'time_data': lambda kind, size, mixed, steps, path: measuring.DataTimes(0.5, 0.51, 5 << 30),
     'time_inference': lambda repeats: (0.08,) * repeats,
     'time_reference': lambda kind: measuring.Steps(9.0, (8.0,), 1 << 30, None),
   }
@@ -69,7 +69,10 @@ def test_prints_what_it_measured(calls, capsys):
   assert out.startswith('Abacus, 2 cores; 1 x cpu; compiled kernels; jax 1.2\n')
   assert 'shape, batch 12, mixed: 24.00 (24.00 to 24.00) images/s, first step 4.5 s' in out
   assert '(3.0 s with compiled programs at hand), peak memory 3.00 GiB' in out
-  assert '0.510 s a step on set, 0.500 s on one batch of it over and over (+2.0%)' in out
+  assert (
+    '0.510 s a step on set, 0.500 s on one batch of it over and over (+2.0%), peak memory 5.00 GiB'
+    in out
+  )
   assert 'Peaks: 1 GFLOP/s float32, 2 bfloat16, 1.0 GB/s' in out
   assert '| a | 3 |' in out
   assert calls[1:] == [
@@ -125,7 +128,7 @@ def test_json_holds_everything(calls, tmp_path):
   assert training['images/s'] == {'median': 24, 'low': 24, 'high': 24}
   assert training['peak memory'] == 3 << 30
   assert training['peer']['ratio']['median'] == 4
-  assert training['data'] == {'synthetic': 0.5, 'real': 0.51}
+  assert training['data'] == {'synthetic': 0.5, 'real': 0.51, 'peak': 5 << 30}
   assert training['peaks']['bandwidth'] == 1e9
   assert training['layers'][0]['forward']['operations'] == 1000
   assert training['layers'][0]['output'] == [2, 3]
