@@ -50,7 +50,7 @@ class Steps(NamedTuple):
 
 
 class DataTimes(NamedTuple):
-  """Steps that are begun before the one before has ended, as in training."""
+  """Steps as the training program takes them: the next batch is read during each."""
 
   synthetic: float  # s a step, with one batch over and over
   real: float  # s a step, with batches that are read meanwhile
@@ -190,12 +190,11 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
 
   def seconds_a_step(next_batch):
     nonlocal state
-    start, before = time.perf_counter(), None
+    start = time.perf_counter()
     for _ in range(max(steps, DATA_STEPS)):
-      state, metrics = step(state, next_batch())
-      if before is not None:
-        float(before['loss'])  # as the training program waits for it
-      before = metrics
+      batch = next_batch()
+      jax.block_until_ready(state)  # as the training program does
+      state, _ = step(state, batch)
     jax.block_until_ready(state)
     return (time.perf_counter() - start) / max(steps, DATA_STEPS)
 
@@ -205,7 +204,7 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
     rounds = [
       (seconds_a_step(lambda: same), seconds_a_step(lambda: put_batch(next(iterator))))
       for _ in range(1 + DATA_ROUNDS)
-    ][1:]  # in the first one the memory for two steps is new
+    ][1:]  # the first one warms up
   return DataTimes(*map(statistics.median, zip(*rounds, strict=True)), peak_memory())
 
 

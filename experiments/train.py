@@ -19,7 +19,18 @@ from absl import flags
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from tqdm import tqdm
 
-from cvn import camera, checkpoint, data, errors, figures, grid, journal, reconstruct, train
+from cvn import (
+  camera,
+  checkpoint,
+  data,
+  environment,
+  errors,
+  figures,
+  grid,
+  journal,
+  reconstruct,
+  train,
+)
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
 from cvn.recipe import RECIPES
@@ -109,7 +120,9 @@ def run(f: flags.FlagValues) -> int:
     ) as bar,
   ):
     while step < total and not caught:
-      state, metrics = train_step(state, put_batch(next(iterator)))
+      batch = put_batch(next(iterator))  # read while the step before is computed
+      jax.block_until_ready(state)  # or two steps' memory would be taken at a time
+      state, metrics = train_step(state, batch)
       step += 1
       epoch = step / len(batches)
       window.append(metrics)
@@ -267,5 +280,6 @@ def out_of_memory_is_a_user_error():
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)
