@@ -58,18 +58,19 @@ class DataTimes(NamedTuple):
 
 
 def alone(function: Callable, *args, programs: str | None = None) -> Any:
-  """function(*args), in a new process with the settings of the training program.
+  """function(*args), in a new process; what environment.prepare has set is inherited.
 
   Args:
     function: of a module, so that its name can be sent.
     *args: what can be pickled.
-    programs: the folder of compiled programs; None for the user's own.
+    programs: the folder of compiled programs; None for none but what the environment names.
 
   Raises:
     UserError: the process is killed, or it raises one itself.
   """
   context = multiprocessing.get_context('spawn')
-  with ProcessPoolExecutor(1, context, _start, (programs,)) as executor:
+  initializer = () if programs is None else (environment.keep_programs, (programs,))
+  with ProcessPoolExecutor(1, context, *initializer) as executor:
     try:
       return executor.submit(_call, function, *args).result()
     except BrokenProcessPool as e:
@@ -77,12 +78,6 @@ def alone(function: Callable, *args, programs: str | None = None) -> Any:
         f'the process of {function.__name__} was killed; if memory is short, take a smaller'
         ' --batch_size'
       ) from e
-
-
-def _start(programs):
-  environment.prepare()
-  if programs is not None:
-    environment.keep_programs(programs)
 
 
 def _call(function, *args):

@@ -1,5 +1,6 @@
 """Another program that trains the same networks, to be timed in turn with ours."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -27,12 +28,17 @@ def make_command(template: str, *, network: str, batch: int, dtype: str) -> list
 def measure(command: list[str]) -> float:
   """Runs it and returns the images/s it prints; the last such figure counts.
 
+  It does not get the library that our own processes are started under (see cvn.environment).
+
   Raises:
     UserError: it cannot be run, fails, or prints none.
   """
   shown = shlex.join(command)
   try:
-    done = subprocess.run(command, capture_output=True, text=True, errors='replace')
+    environment = {k: v for k, v in os.environ.items() if k != 'LD_PRELOAD'}
+    done = subprocess.run(
+      command, capture_output=True, text=True, errors='replace', env=environment
+    )
   except OSError as e:
     raise UserError(f'the peer cannot be run ({e.strerror}): {shown}') from e
   last = (done.stderr.strip() or done.stdout.strip() or 'no output').splitlines()[-1]
