@@ -178,10 +178,10 @@ def describe(machine: dict[str, Any]) -> str:
   versions = ', '.join(f'{name} {version}' for name, version in machine['versions'].items())
   kernels = 'compiled kernels' if machine['compiled kernels'] else 'no compiled kernels'
   tiles = ', tile units' if machine['tile units'] else ''
-  tunables = machine['GLIBC_TUNABLES']
+  settings = ''.join(f'; {name}={value}' for name, value in machine['settings'].items())
   return (
     f'{machine["processor"]}, {machine["cores"]} cores; {machine["devices"]}; {kernels}{tiles};'
-    f' {versions}' + (f'; GLIBC_TUNABLES {tunables}' if tunables else '')
+    f' {versions}{settings}'
   )
 
 

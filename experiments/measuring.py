@@ -36,6 +36,7 @@ from experiments import train as program
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
 REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
+SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES')  # variables that speed depends on
 DATA_ROUNDS = 3
 DATA_STEPS = 10  # at least, in a round: more than is read ahead
 
@@ -102,7 +103,7 @@ def describe_machine() -> dict[str, Any]:
       'jaxlib': jaxlib.__version__,
       'flax': flax.__version__,
     },
-    'GLIBC_TUNABLES': os.environ.get('GLIBC_TUNABLES'),
+    'settings': {name: os.environ[name] for name in SETTINGS if name in os.environ},
   }
 
 

@@ -16,7 +16,7 @@ MACHINE = {
   'compiled kernels': True,
   'tile units': False,
   'versions': {'jax': '1.2'},
-  'GLIBC_TUNABLES': None,
+  'settings': {'LD_PRELOAD': 'b.so'},
 }
 PEAKS = layer_table.Peaks(1e9, 2e9, 1e9)
 ROW = layer_table.Row(
@@ -66,7 +66,7 @@ def run(*arguments):
 def test_prints_what_it_measured(calls, capsys):
   run('--network=shape', '--dtype=mixed', '--steps=3', '--data=set')
   out = capsys.readouterr().out
-  assert out.startswith('Abacus, 2 cores; 1 x cpu; compiled kernels; jax 1.2\n')
+  assert out.startswith('Abacus, 2 cores; 1 x cpu; compiled kernels; jax 1.2; LD_PRELOAD=b.so\n')
   assert 'shape, batch 12, mixed: 24.00 (24.00 to 24.00) images/s, first step 4.5 s' in out
   assert '(3.0 s with compiled programs at hand), peak memory 3.00 GiB' in out
   assert (
