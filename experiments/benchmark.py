@@ -24,7 +24,7 @@ from typing import Any
 
 from absl import flags
 
-from cvn import errors, train
+from cvn import environment, errors, train
 from cvn.files import atomic_write
 from experiments import layer_table, measuring, peer
 from experiments.train import DTYPES
@@ -219,5 +219,6 @@ def write(path: str | None, found: dict[str, Any]) -> None:
 
 
 if __name__ == '__main__':
+  environment.prepare()
   define_flags(flags.FLAGS)
   errors.run(main)
