@@ -95,7 +95,9 @@ def _conv_backward(residuals, dy):
   def kernels(x, kernel, dy):
     shape = (len(x), kernel.shape[-1], *kernel.shape[:-1])
     results = [_like(x), jax.ShapeDtypeStruct(shape, jnp.float32)]
-    dx, dkernel = native.call('cvn_conv_gradient', results, x, kernel, dy, volumes=(0, 2))
+    dx, dkernel = native.call(
+      'cvn_conv_gradient', results, x, kernel, dy, volumes=(0, 2), in_place=0
+    )
     return dx, jnp.moveaxis(_sum_samples(dkernel), 0, -1)
 
   return _gradient_by_platform(kernels, phases.conv, library_conv, *residuals, dy)

@@ -1,44 +1,47 @@
 """Settings of the process that make the programs faster. They apply them; nothing needs them.
 
-Memory: a training step frees gigabytes that the next one asks for again. By default the C library
-gives them back to the system each time, which then has to map and clear every page anew. Here it
-keeps them. Whoever sets GLIBC_TUNABLES has decided otherwise, and so is left alone.
+Memory: a training step frees gigabytes that the next one asks for again. The C library gives them
+back to the system each time, which then has to map and clear every page anew. A small library
+(blocks.cc, compiled once like the kernels) keeps large blocks instead, in huge pages; because it
+must be loaded before all else, a program that prepares itself starts itself once more under it.
+Whoever sets LD_PRELOAD has decided otherwise and is left alone; CVN_KERNELS=off does without, too.
 
 Compiled programs: JAX keeps them in $XDG_CACHE_HOME/cvn/jax (~/.cache/cvn/jax), so that the first
 step of the next run takes seconds. JAX_COMPILATION_CACHE_DIR names another folder, and
 JAX_ENABLE_COMPILATION_CACHE=false does without.
 """
 
-import ctypes
 import os
 import pathlib
 import platform
+import subprocess
+import sys
 
 import jax
 
-# Parameters of mallopt, from the C library's malloc.h.
-_M_TRIM_THRESHOLD = -1
-_M_MMAP_MAX = -4
-_M_ARENA_MAX = -8
+from cvn import native
 
 
 def prepare() -> None:
-  """Applies all settings to this process; to be called before its first computation."""
-  if 'GLIBC_TUNABLES' not in os.environ:
-    keep_memory()
+  """Applies all settings to this process, which may start again; call it first of all."""
+  keep_memory()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
 
 
-def keep_memory() -> bool:
-  """Makes the C library keep what is freed; returns whether it does (GNU's C library only)."""
-  if libc() != 'glibc':
-    return False
-  mallopt = ctypes.CDLL(None).mallopt
-  # No block is mapped by itself, which would be unmapped when it is freed; the heap's end is never
-  # given back; and all threads share that heap, since the others cannot hold large blocks.
-  settings = ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, -1), (_M_ARENA_MAX, 1))
-  return all(mallopt(parameter, value) == 1 for parameter, value in settings)
+def keep_memory() -> None:
+  """Starts this program again with large blocks kept, where that is possible and not yet so."""
+  off = os.environ.get('CVN_KERNELS') == 'off' or 'LD_PRELOAD' in os.environ
+  if off or sys.platform != 'linux' or libc() != 'glibc':
+    return
+  try:
+    library = native.build(source=native.BLOCKS)
+  except (OSError, subprocess.SubprocessError):
+    return  # the kernels have the same trouble, and tell
+  os.environ['LD_PRELOAD'] = str(library)
+  os.environ.setdefault('GLIBC_TUNABLES', 'glibc.malloc.hugetlb=1')  # for the smaller ones
+  sys.stdout.flush()
+  os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def keep_programs(folder: str | os.PathLike) -> bool:

@@ -25,6 +25,7 @@ from jax.experimental.custom_partitioning import custom_partitioning
 from jax.sharding import NamedSharding, PartitionSpec
 
 SOURCE = pathlib.Path(__file__).with_name('kernels.cc')
+BLOCKS = pathlib.Path(__file__).with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
@@ -62,6 +63,7 @@ def call(
   results: Sequence[jax.ShapeDtypeStruct],
   *arrays: jax.Array,
   volumes: Sequence[int] = (0,),
+  in_place: int | None = None,
   **attributes,
 ) -> Sequence[jax.Array]:
   """Calls a kernel; it is there on a CPU, where `available`.
@@ -74,12 +76,15 @@ def call(
     *arrays: what it takes.
     volumes: which of them have the batch as first axis, the first among them; all devices need the
       others whole.
+    in_place: which of them the first result may overwrite, where nothing else needs it.
     **attributes: numpy integers.
   """
 
+  aliases = {} if in_place is None else {in_place: 0}
+
   def run(*arrays):
     local = [jax.ShapeDtypeStruct((len(arrays[0]), *r.shape[1:]), r.dtype) for r in results]
-    return tuple(jax.ffi.ffi_call(name, local)(*arrays, **attributes))
+    return tuple(jax.ffi.ffi_call(name, local, input_output_aliases=aliases)(*arrays, **attributes))
 
   if jax.device_count() == 1:  # the partitioner's callbacks would miss the compilation cache
     return run(*arrays)
@@ -108,11 +113,12 @@ def _rule(arrays, results, volumes) -> str:
   return f'{left} -> {", ".join(axes(r, True) for r in results)}'
 
 
-def build(folder: pathlib.Path | None = None) -> pathlib.Path:
+def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> pathlib.Path:
   """The path of the library; it is compiled where it is not there yet.
 
   Args:
     folder: where it is kept; None for the user's cache.
+    source: what to compile.
 
   Raises:
     OSError: there is no compiler, or the folder cannot be written.
@@ -121,15 +127,15 @@ def build(folder: pathlib.Path | None = None) -> pathlib.Path:
   compiler = _compiler()
   folder = folder or _cache()
   version = subprocess.run([compiler, '--version'], capture_output=True, check=True, timeout=60)
-  told = [SOURCE.read_bytes(), version.stdout, _processor().encode(), jaxlib.__version__.encode()]
-  path = folder / f'kernels-{hashlib.sha256(b"|".join(told)).hexdigest()[:16]}.so'
+  told = [source.read_bytes(), version.stdout, _processor().encode(), jaxlib.__version__.encode()]
+  path = folder / f'{source.stem}-{hashlib.sha256(b"|".join(told)).hexdigest()[:16]}.so'
   if path.exists():
     return path
   folder.mkdir(parents=True, exist_ok=True)
   handle, temporary = tempfile.mkstemp(suffix='.so', dir=folder)
   os.close(handle)
   try:
-    command = [compiler, *_FLAGS, '-isystem', jax.ffi.include_dir(), str(SOURCE), '-o', temporary]
+    command = [compiler, *_FLAGS, '-isystem', jax.ffi.include_dir(), str(source), '-o', temporary]
     try:
       _compile([*command, '-march=native'])
     except subprocess.CalledProcessError:  # the compiler does not know this processor

@@ -137,7 +137,9 @@ def _input_gradient(x, y, dy, gain, offset, slope, rest, activation):
   def kernel(x, y, dy, *vectors):
     arrays, number = (x, dy, *vectors), activation.number
     results = [_like(x)]
-    dx = native.call('cvn_input_gradient', results, *arrays, volumes=(0, 1), activation=number)
+    dx = native.call(
+      'cvn_input_gradient', results, *arrays, volumes=(0, 1), in_place=1, activation=number
+    )
     return dx[0]
 
   def loops(x, y, dy, gain, offset, slope, rest):

@@ -8,7 +8,7 @@ import sys
 import jax
 import pytest
 
-from cvn import environment
+from cvn import environment, native
 
 # Page faults of touching 64 MiB that were freed just before.
 FAULTS = """
@@ -25,7 +25,7 @@ PAGES = (1 << 26) // resource.getpagesize()
 
 def run(code, **variables):
   """What a program prints."""
-  inherited = {k: v for k, v in os.environ.items() if k != 'GLIBC_TUNABLES'}
+  inherited = {k: v for k, v in os.environ.items() if k != 'LD_PRELOAD'}
   done = subprocess.run(
     [sys.executable, '-c', code],
     env={**inherited, **variables},
@@ -44,15 +44,39 @@ def cache_folder():
   jax.config.update('jax_compilation_cache_dir', before)
 
 
-@pytest.mark.skipif(environment.libc() != 'glibc', reason="needs GNU's C library")
+@pytest.mark.skipif(
+  environment.libc() != 'glibc' or not native.available(), reason='needs GNU C library and compiler'
+)
 def test_freed_memory_is_used_again_without_page_faults():
   assert int(run(FAULTS)) < PAGES / 100
-  assert int(run(FAULTS, GLIBC_TUNABLES='glibc.malloc.hugetlb=0')) > PAGES / 2
+  assert int(run(FAULTS, LD_PRELOAD='', GLIBC_TUNABLES='glibc.malloc.hugetlb=0')) > PAGES / 2
+
+
+def test_a_program_starts_again_once_and_keeps_its_arguments_and_status(tmp_path):
+  program = tmp_path / 'program.py'
+  program.write_text(
+    'import os, sys\n'
+    'from cvn import environment\n'
+    'print("start", flush=True)\n'
+    'environment.prepare()\n'
+    'print(sys.argv[1:], "LD_PRELOAD" in os.environ)\n'
+    'raise SystemExit(3)\n'
+  )
+  inherited = {k: v for k, v in os.environ.items() if k != 'LD_PRELOAD'}
+  done = subprocess.run(
+    [sys.executable, str(program), '--name=a b', 'é'],
+    env=inherited, capture_output=True, text=True,
+  )  # fmt: skip
+  again = native.available() and sys.platform == 'linux' and environment.libc() == 'glibc'
+  lines = ['start'] * (1 + again) + [f"['--name=a b', 'é'] {again}"]
+  assert (done.returncode, done.stdout.splitlines()) == (3, lines), done.stderr
 
 
 def test_another_c_library_is_left_alone(monkeypatch):
+  monkeypatch.delenv('LD_PRELOAD', raising=False)
   monkeypatch.setattr(environment, 'libc', lambda: '')
-  assert not environment.keep_memory()
+  monkeypatch.setattr(os, 'execv', lambda *_: pytest.fail('started again'))
+  environment.keep_memory()
 
 
 def test_folder_is_made_and_an_unwritable_one_left_out(tmp_path, cache_folder):
@@ -65,7 +89,7 @@ def test_folder_is_made_and_an_unwritable_one_left_out(tmp_path, cache_folder):
 
 
 def test_default_folder_follows_the_users_setting(tmp_path, monkeypatch, cache_folder):
-  monkeypatch.setenv('GLIBC_TUNABLES', 'glibc.malloc.hugetlb=0')
+  monkeypatch.setenv('LD_PRELOAD', '')
   monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
   jax.config.update('jax_compilation_cache_dir', None)
   environment.prepare()
