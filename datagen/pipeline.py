@@ -83,11 +83,11 @@ def make_record(
   mesh_lib.check(mesh)
   mesh = without_coincident(mesh_lib.normalize(mesh))
   cameras = [camera_at(a, image_size=s.image_size) for a in s.azimuths]
-  flat, depths = render(mesh, cameras, image_size=s.image_size)
+  flat, depths, seen = render(mesh, cameras, image_size=s.image_size)
   for azimuth, depth in zip(s.azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
       raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
-  voxels = voxelize(mesh, s.grid_size)
+  voxels = voxelize(mesh, s.grid_size, seen)
   flow, visible, stats = target_flows(
     voxels.point,
     voxels.color,

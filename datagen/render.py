@@ -38,6 +38,7 @@ class RenderedViews(NamedTuple):
 
   rgba: np.ndarray  # [V, H, W, 4] u8, sRGB; alpha is 0 or 255
   depth: np.ndarray  # [V, H, W] float32, along the viewing axis in world units; inf where empty
+  seen: np.ndarray  # [F] bool, faces that some ray of some view meets
 
 
 def render(
@@ -69,9 +70,11 @@ def render(
   lit_scene = _lit_scene(shape) if shading == 'lit' else None
   rgba = np.zeros((len(cameras), image_size, image_size, 4), np.uint8)
   depth = np.full((len(cameras), image_size, image_size), np.inf, np.float32)
+  seen = np.zeros(len(mesh.faces), bool)
   used = mesh.vertices[np.unique(mesh.faces)]
   for view, camera in enumerate(cameras):
     row, column, face, weight = _trace(mesh, scene, camera, image_size, used)
+    seen[face] = True
     central = (row % SAMPLES == SAMPLES // 2) & (column % SAMPLES == SAMPLES // 2)
     row, column = row // SAMPLES, column // SAMPLES
     point = _points(mesh, face[central], weight[central])
@@ -87,7 +90,7 @@ def render(
     foreground = np.isfinite(depth[view])
     rgba[view, foreground, :3] = np.round(mean[foreground] * 255)
     rgba[view, foreground, 3] = 255
-  return RenderedViews(rgba, depth)
+  return RenderedViews(rgba, depth, seen)
 
 
 def to_mitsuba(mesh: TexturedMesh):

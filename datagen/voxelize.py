@@ -33,10 +33,12 @@ import numpy as np
 
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, PADDING_INDEX, world_to_grid
+from datagen import dominant
 from datagen.mesh import TexturedMesh, albedo, is_surface
 
 SAMPLES_PER_SIDE = 4  # colour is read at least so often along a voxel's side
 CHUNK = 1 << 18  # candidates, or samples, handled at a time; bounds the memory
+UNSEEN = 1e-6  # weight of surface that no view shows: it counts where nothing else is
 SLIVER = 1e-3  # voxels; a face that is less high is no more than its edges
 EPSILON = 1e-9  # rounding, in voxels
 
@@ -57,15 +59,20 @@ class _Claims(NamedTuple):
   barycentric: np.ndarray  # [size^3, 3] float64
 
 
-def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> SurfaceVoxels:
+def voxelize(
+  mesh: TexturedMesh, size: int = GRID_SIZE, seen: np.ndarray | None = None
+) -> SurfaceVoxels:
   """The surface shell of a mesh and its albedo.
 
-  A voxel's colour is the mean albedo over the surface inside the voxel; where that is too little
-  to be sampled, the albedo at the surface's nearest point to its centre.
+  A voxel's colour is the dominant one (see datagen/dominant.py) of the surface inside the voxel;
+  where that is too little to be sampled, the albedo at the surface's nearest point to its centre.
+  Faces that no view shows, such as linings and what is inside a body, have a say only in voxels
+  that hold no others.
 
   Args:
     mesh: in the cube [-0.5, 0.5]^3; what lies outside is cut off.
     size: voxels along a side of the grid, at most 255.
+    seen: [F] bool, the faces that some view shows; None for all.
 
   Returns:
     The voxels.
@@ -87,11 +94,9 @@ def voxelize(mesh: TexturedMesh, size: int = GRID_SIZE) -> SurfaceVoxels:
   if not len(voxel):
     raise UserError('the mesh has no visible surface inside the cube')
 
-  total = _sum_over_samples(mesh, corners, size, np.isfinite(claims.distance))[voxel]
-  color = total[:, :3] / np.maximum(total[:, 3:], 1e-30)
-  bare = total[:, 3] == 0
-  at = voxel[bare]
-  color[bare] = albedo(mesh, claims.face[at], claims.barycentric[at])[:, :3]
+  color = albedo(mesh, claims.face[voxel], claims.barycentric[voxel])[:, :3]
+  sampled, dominant_color = dominant.dominant_colors(_tally(mesh, corners, size, claims, seen))
+  color[np.searchsorted(voxel, sampled)] = dominant_color
   index = np.stack(np.unravel_index(voxel, (size,) * 3), -1)
   triangle = mesh.vertices[mesh.faces[claims.face[voxel]]]
   return SurfaceVoxels(
@@ -203,8 +208,8 @@ def _claim(claims, mesh, size, voxel, distance, face, barycentric):
   claims.barycentric[at[order]] = barycentric[order]
 
 
-def _sum_over_samples(mesh, corners, size, occupied):
-  """Sums of albedo times area over points strewn on the faces: [size^3, 4] (r, g, b and area).
+def _tally(mesh, corners, size, claims, seen):
+  """Counts the albedo and the area of points strewn on the faces, by occupied voxel.
 
   A face is cut into rows between its longest edge and the opposite corner, and rows into as many
   cells, with a point at random in each (always the same: the generator's seed is fixed): without
@@ -223,7 +228,7 @@ def _sum_over_samples(mesh, corners, size, occupied):
   )
   order = (base[:, None] + np.array([[2, 0, 1]])) % 3  # the corner opposite the base comes first
   rng = np.random.default_rng(0)
-  total = np.zeros((size**3, 4))
+  occupied, tally = np.isfinite(claims.distance), dominant.EMPTY
   for f, k in _ragged(columns * rows, CHUNK):
     row, column = np.divmod(k, columns[f])
     jitter = rng.random((2, len(f)))
@@ -236,14 +241,13 @@ def _sum_over_samples(mesh, corners, size, occupied):
     at = _flat(voxel[ok], size)
     ok[ok] = occupied[at]
     f, s, weights, at = f[ok], s[ok], weights[ok], at[occupied[at]]
-    present = is_surface(mesh, f, weights)
-    f, s, weights, at = f[present], s[present], weights[present], at[present]
     share = 2 * s * area[f] / (rows[f] * columns[f])  # a row's cells are as wide as the row
-    values = albedo(mesh, f, weights)
-    for c in range(3):
-      total[:, c] += np.bincount(at, share * values[:, c], size**3)
-    total[:, 3] += np.bincount(at, share, size**3)
-  return total
+    present = is_surface(mesh, f, weights) & (share > 0)
+    if seen is not None:
+      share = np.where(seen[f], share, share * UNSEEN)
+    color = albedo(mesh, f[present], weights[present])[:, :3]
+    tally = dominant.add(tally, at[present], share[present], color)
+  return tally
 
 
 def _ragged(count, chunk):

@@ -61,6 +61,12 @@ def odd():
   return colored(mesh, np.random.default_rng(0).uniform(size=(len(mesh.faces), 3)))
 
 
+def mesh_normals(mesh):
+  a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+  cross = np.cross(b - a, c - a)
+  return cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+
+
 def differing(a, b):
   """Share of pixels in which two images differ at all."""
   return (a != b).any(-1).mean()
@@ -79,6 +85,7 @@ def test_a_box_fills_the_pixels_it_must_at_the_depth_it_must():
   np.testing.assert_array_equal(views.rgba[0][~inside], 0)
   np.testing.assert_allclose(views.depth[0][inside], depth, atol=1e-6)
   assert np.isinf(views.depth[0][~inside]).all()
+  np.testing.assert_array_equal(views.seen, mesh_normals(mesh)[:, 2] > 0.5)
 
 
 def test_the_depth_of_a_sphere():

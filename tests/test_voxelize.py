@@ -241,6 +241,49 @@ def test_coarse_checkerboard_keeps_its_squares_and_repeats():
   assert (color[clear & ~red] == 0).all() and (clear & ~red).sum() > 500
 
 
+def sheets(*parts):
+  """Rectangles facing +z, each (left, right, z, colour), from y = -0.4 to 0.4; two faces each."""
+  vertices = [
+    (x, y, z) for a, b, z, _ in parts for x, y in ((a, -0.4), (b, -0.4), (b, 0.4), (a, 0.4))
+  ]
+  faces = np.concatenate([4 * i + np.array([[0, 1, 2], [0, 2, 3]]) for i in range(len(parts))])
+  colors = np.repeat([[*color, 1] for *_, color in parts], 2, 0)
+  return TexturedMesh(
+    np.array(vertices, float),
+    faces,
+    np.repeat(colors[:, None], 3, 1).astype(np.float32),
+    np.zeros((len(faces), 3, 2), np.float32),
+    np.full(len(faces), -1, np.int32),
+    (),
+  )
+
+
+RED, WHITE = (1, 0, 0), (1, 1, 1)
+
+
+@pytest.mark.parametrize('share', [0.3, 0.7])
+def test_at_a_border_the_larger_colour_wins(share):
+  """Red up to `share` of the voxels of column 40."""
+  border = (40 + share) / GRID_SIZE - 0.5
+  mesh = sheets((-0.4, border, 0.003, RED), (border, 0.4, 0.003, WHITE))
+  index, color, _ = voxelize(mesh)
+  red = index[:, 0] < (41 if share > 0.5 else 40)
+  assert (color[red] == [255, 0, 0]).all() and red.sum() > 500
+  assert (color[~red] == 255).all() and (~red).sum() > 500
+
+
+def test_what_no_view_shows_counts_only_where_nothing_else_is():
+  """White over red, within one layer of voxels; the red sheet, twice, is the wider one."""
+  mesh = sheets((-0.2, 0.2, 0.009, WHITE), (-0.4, 0.4, 0.005, RED), (-0.4, 0.4, 0.004, RED))
+  index, color, _ = voxelize(mesh, seen=np.array([True] * 2 + [False] * 4))
+  x = index_to_world(index.astype(float))[:, 0]
+  assert len(index) == len(np.unique(index[:, :2], axis=0))
+  assert (color[np.abs(x) < 0.19] == 255).all()
+  assert (color[np.abs(x) > 0.21] == [255, 0, 0]).all()
+  _, color, _ = voxelize(mesh)
+  assert (color == [255, 0, 0]).all()
+
+
 def test_cut_out_is_no_surface_and_glass_is():
   image = opaque(np.full((32, 32, 3), 90))
   image[:, 8:24, 3] = 0
