@@ -26,7 +26,8 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-_BEFORE = {'dtype': 'float32'}  # what runs did that were begun before there was a setting
+# What runs did that were begun before there was a setting.
+_BEFORE = {'dtype': 'float32', 'heads': 'dense'}
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from cvn import blending, losses, metrics
-from cvn.networks import ColorNetwork, ShapeNetwork
+from cvn import blending, losses, metrics, surface
+from cvn.networks import ColorNetwork, ColorVolumes, ShapeNetwork, Trunk
 from cvn.recipe import Recipe, norm_decay
 from cvn.reconstruct import OCCUPIED
 
@@ -63,12 +63,37 @@ def make_step(
 
   network = NETWORKS[kind].clone(mixed=mixed)
 
+  def objective(params, batch_stats, batch):
+    return _objective(params, batch_stats, batch, network, recipe, True)
+
+  return _compile_step(objective, recipe, learning_rate)
+
+
+def make_surface_step(
+  recipe: Recipe, *, learning_rate: float | None = None, mixed: bool = False
+) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
+  """The same for the colour network, its heads computed at surface voxels alone.
+
+  Batch statistics differ from `make_step`'s, see cvn.surface.
+  """
+  color = NETWORKS['color']
+  trunk = Trunk(color.image_size, color.grid_size, mixed)
+
+  def objective(params, batch_stats, batch):
+    return _surface_objective(params, batch_stats, batch, trunk, recipe)
+
+  return _compile_step(objective, recipe, learning_rate)
+
+
+def _compile_step(objective, recipe, learning_rate):
+  """The step of an objective (params, batch statistics, batch) -> (loss, (metrics, statistics))."""
+
   def step(state, batch):
     samples = (state.step * len(batch.image)).astype(jnp.float32)
     rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
     decay = norm_decay(samples)
-    (_, (found, batch_stats)), gradient = jax.value_and_grad(_objective, has_aux=True)(
-      state.params, state.batch_stats, batch, network, recipe, True
+    (_, (found, batch_stats)), gradient = jax.value_and_grad(objective, has_aux=True)(
+      state.params, state.batch_stats, batch
     )
     update, opt_state = _ADAM.update(gradient, state.opt_state)
     params = jax.tree.map(lambda p, u: p - rate * u, state.params, update)
@@ -105,6 +130,29 @@ def _objective(params, batch_stats, batch, network, recipe, train):
   return loss, ({'loss': loss, **found}, mutated['batch_stats'])
 
 
+def _surface_objective(params, batch_stats, batch, trunk, recipe):
+  """(loss, (metrics, batch statistics)) of the colour network in training."""
+  features, mutated = trunk.apply(
+    {'params': params['trunk'], 'batch_stats': batch_stats['trunk']},
+    batch.image,
+    train=True,
+    mutable='batch_stats',
+  )
+  heads = {name: p for name, p in params.items() if name != 'trunk'}
+
+  def heads_loss(capacity, heads, features, batch, near):
+    places = surface.find_places(near, batch.index, capacity)
+    volumes, statistics = surface.color_heads(heads, features, places, mixed=trunk.mixed)
+    loss, terms = _loss_at_surface(volumes, batch, places.mask, recipe)
+    return loss, (terms, statistics)
+
+  near = surface.near_cells(batch.index, trunk.grid_size)
+  loss, (found, statistics) = surface.by_capacity(heads_loss, near, heads, features, batch, near)
+  if recipe.kernel_penalty:
+    loss = loss + recipe.kernel_penalty * _kernel_sum(params)
+  return loss, ({'loss': loss, **found}, {'trunk': mutated['batch_stats'], **statistics})
+
+
 def _shape_loss(logits, batch, recipe, train):
   del recipe  # both recipes train the shape network alike
   logits = logits[..., 0]
@@ -125,7 +173,14 @@ def _color_loss(volumes, batch, recipe, train):
   at_surface = jax.vmap(lambda v, i: v.at[tuple(i.T)].get(mode='fill', fill_value=0))(
     stacked, batch.index
   )
-  regressed, flow, weight = jnp.split(at_surface, (3, 5), axis=-1)
+  return _loss_at_surface(
+    ColorVolumes(*jnp.split(at_surface, (3, 5), axis=-1)), batch, mask, recipe
+  )
+
+
+def _loss_at_surface(volumes, batch, mask, recipe):
+  """(loss, its terms) of volumes at the surface voxels [B, S, channels]."""
+  regressed, flow, weight = volumes
   blended = blending.blend(recipe.sample(batch.image, flow), regressed, weight)
   loss, terms = losses.color_objective(
     regressed, blended, flow, batch.color, batch.flow, mask, distance=recipe.surface_distance

@@ -33,11 +33,12 @@ from cvn import (
 )
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
-from cvn.recipe import RECIPES
+from cvn.recipe import RECIPES, Recipe
 
 PICTURES = 4  # views drawn at each validation
 READERS = {'shape': data.read_shape, 'color': data.read_color}
 DTYPES = ('float32', 'mixed')
+HEADS = ('dense', 'surface')
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -51,6 +52,14 @@ def define_flags(f: flags.FlagValues) -> None:
     DTYPES,
     'Of the factors in the 3D layers; mixed: bfloat16, while sums, statistics, parameters and'
     ' optimizer stay float32. Faster on processors and accelerators that multiply bfloat16.',
+    **own,
+  )
+  flags.DEFINE_enum(
+    'heads',
+    'dense',
+    HEADS,
+    "Where the colour network's last layers are computed in training; surface: at surface voxels"
+    ' and their neighbours alone, which is faster, and takes batch statistics there.',
     **own,
   )
   flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
@@ -79,6 +88,7 @@ def run(f: flags.FlagValues) -> int:
   recipe, read = RECIPES[f.recipe], READERS[f.network]
   dataset = open_dataset(f.data)
   check_sizes(dataset)
+  train_step = make_step(f, recipe)
   rows = data.select_rows(dataset, 'train', f.category)
   batches = data.training_batches(read, dataset, rows, batch_size=f.batch_size, seed=f.seed)
   validation = select_validation(f, dataset)
@@ -86,9 +96,6 @@ def run(f: flags.FlagValues) -> int:
 
   put_batch, put_state = make_placement(f.batch_size)
   state = put_state(train.create_state(jax.random.key(f.seed), f.network))
-  train_step = train.make_step(
-    f.network, recipe, learning_rate=f.learning_rate, mixed=f.dtype == 'mixed'
-  )
   evaluate = train.make_eval(f.network, recipe)
 
   iterator = data.iterate(batches)
@@ -154,6 +161,22 @@ def run(f: flags.FlagValues) -> int:
   return 0
 
 
+def make_step(f: flags.FlagValues, recipe: Recipe):
+  """The step that the flags ask for.
+
+  Raises:
+    UserError: there is none.
+  """
+  options = {'learning_rate': f.learning_rate, 'mixed': f.dtype == 'mixed'}
+  if f.heads == 'dense':
+    return train.make_step(f.network, recipe, **options)
+  if f.network != 'color':
+    raise UserError(
+      f'--heads={f.heads} is for --network=color: the loss of shapes reads all voxels'
+    )
+  return train.make_surface_step(recipe, **options)
+
+
 def check_sizes(dataset: Dataset) -> None:
   """Refuses data of another size than the networks'."""
   m = dataset.manifest
@@ -176,7 +199,7 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
 
 def make_config(f: flags.FlagValues, dataset: Dataset, models: int) -> dict:
   """All that a resumed run must share with the one it continues."""
-  names = ('network', 'recipe', 'dtype', 'category', 'batch_size', 'learning_rate', 'seed')
+  names = ('network', 'recipe', 'dtype', 'heads', 'category', 'batch_size', 'learning_rate', 'seed')
   return {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
 
 

@@ -65,3 +65,25 @@ def test_evaluation_treats_every_image_alone():
 def test_wrong_image_size_is_refused():
   with pytest.raises(ValueError, match='128, 128, 3'):
     ShapeNetwork().init(jax.random.key(0), jnp.zeros((1, 64, 64, 3)), train=False)
+
+
+def test_mixed_precision_needs_no_loss_scaling():
+  """bfloat16 has the range of float32: gradients 2^40 times smaller are the same numbers."""
+  network = ShapeNetwork(**SMALL, mixed=True)
+  image = jax.random.uniform(jax.random.key(1), (2, 64, 64, 3))
+  variables = network.init(jax.random.key(0), image, train=False)
+  weights = jax.random.normal(jax.random.key(2), (2, 32, 32, 32, 1)) / 32**3
+
+  @jax.jit
+  @jax.grad
+  def gradient(params, scale):
+    variables_of_it = {**variables, 'params': params}
+    out, _ = network.apply(variables_of_it, image, train=True, mutable='batch_stats')
+    return scale * jnp.sum(out * weights)
+
+  plain = gradient(variables['params'], 1.0)
+  for scale in (2.0**-40, 2.0**10):
+    scaled = jax.tree.map(lambda g, s=scale: g / s, gradient(variables['params'], scale))
+    jax.tree.map(
+      lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-20), scaled, plain
+    )

@@ -16,6 +16,7 @@ SLOTS = 256
 
 # Compiled once for the whole file: what takes time here is the compiler.
 make_step = functools.cache(train.make_step)
+make_surface_step = functools.cache(train.make_surface_step)
 make_eval = functools.cache(train.make_eval)
 
 
@@ -46,6 +47,24 @@ def test_a_few_steps_lower_the_loss_with_one_trace(kind, mixed):
   assert step._cache_size() == 1
   assert int(state.step) == 3
   assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(state.params))
+
+
+@pytest.mark.parametrize('mixed', [False, True])
+def test_steps_at_the_surface_lower_the_loss_with_one_trace(mixed):
+  """However many cells are near the surface: a few at first, then all of them."""
+  step = make_surface_step(PAPER, mixed=mixed)
+  state = train.create_state(jax.random.key(0), 'color')
+  structure = jax.tree.structure(state)
+  batch, found = make_batch(), []
+  full = np.stack(np.unravel_index(np.arange(0, 64**3, 64**3 // SLOTS), (64,) * 3), -1)
+  for _ in range(3):
+    state, metrics = step(state, batch)
+    found.append(float(metrics['loss']))
+  state, metrics = step(state, batch._replace(index=np.stack([full.astype(np.int32)] * 2)))
+  assert np.isfinite([*found, float(metrics['loss'])]).all()
+  assert found[2] < found[0]
+  assert step._cache_size() == 1
+  assert jax.tree.structure(state) == structure
 
 
 def test_color_loss_sees_only_surface_voxels():

@@ -58,6 +58,10 @@ def make_step(kind, recipe, *, learning_rate=None, mixed=False):
   return step
 
 
+def make_surface_step(recipe, **options):
+  return make_step('color', recipe, **options)
+
+
 def make_eval(kind, recipe):
   del recipe
   extra = {'iou': jnp.float32(0.5)} if kind == 'shape' else {}
@@ -68,7 +72,7 @@ def make_eval(kind, recipe):
 def small_networks(request, monkeypatch):
   if request.node.get_closest_marker('slow'):
     return
-  for f in (create_state, make_step, make_eval):
+  for f in (create_state, make_step, make_surface_step, make_eval):
     monkeypatch.setattr(program.train, f.__name__, f)
   monkeypatch.setattr(program, 'draw', lambda *_: np.zeros((8, 8, 3), np.uint8))
 
@@ -293,16 +297,25 @@ def test_a_run_begun_before_there_was_a_dtype_goes_on_in_float32(made, tmp_path)
 
 
 @pytest.mark.parametrize('dtype', program.DTYPES)
-def test_dtype_reaches_the_step(made, tmp_path, monkeypatch, dtype):
+@pytest.mark.parametrize(
+  ('heads', 'name'), [('dense', 'make_step'), ('surface', 'make_surface_step')]
+)
+def test_dtype_and_heads_reach_the_step(made, tmp_path, monkeypatch, dtype, heads, name):
   asked = []
 
   def make(*args, mixed, **kwargs):
     asked.append(mixed)
-    return make_step(*args, **kwargs)
+    return make_step('color', args[-1], **kwargs)
 
-  monkeypatch.setattr(program.train, 'make_step', make)
-  run(made, tmp_path / 'run', f'--dtype={dtype}', epochs=1)
+  monkeypatch.setattr(program.train, name, make)
+  run(made, tmp_path / 'run', f'--dtype={dtype}', f'--heads={heads}', network='color', epochs=1)
   assert asked == [dtype == 'mixed']
+
+
+def test_shapes_have_no_surface_heads(made, tmp_path):
+  with pytest.raises(UserError, match='--heads=surface is for --network=color'):
+    run(made, tmp_path / 'run', '--heads=surface')
+  assert not (tmp_path / 'run').exists()
 
 
 def test_too_few_models(made, tmp_path):
@@ -340,6 +353,7 @@ def test_out_of_memory(made, tmp_path, monkeypatch):
     '--network=both',
     '--recipe=mine',
     '--dtype=float16',
+    '--heads=sparse',
     '--epochs=0',
     '--batch_size=0',
     '--batch_size=x',

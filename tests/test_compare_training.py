@@ -1,0 +1,80 @@
+"""The comparison of ways to train: what it runs, what it reads, what it shows."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from absl import flags
+from PIL import Image
+
+from experiments import compare_training as program
+
+
+def parse(*arguments):
+  values = flags.FlagValues()
+  program.define_flags(values)
+  values(['compare', *arguments])
+  return values
+
+
+@pytest.fixture
+def commands(monkeypatch):
+  """What would be run; it leaves the files that the real programs leave."""
+  ran = []
+
+  def run_program(arguments, output):
+    del output
+    named = dict(a[2:].split('=', 1) for a in arguments[1:])
+    ran.append((arguments[0], named))
+    if arguments[0] == 'experiments.train':
+      loss = 0.5 if named.get('dtype') == 'mixed' else 0.25
+      os.makedirs(os.path.join(named['workdir'], 'checkpoints'), exist_ok=True)
+      with open(os.path.join(named['workdir'], 'log.jsonl'), 'w') as f:
+        for epoch in range(1, int(named['epochs']) + 1):
+          f.write(json.dumps({'step': epoch, 'epoch': epoch, 'loss': loss / epoch}) + '\n')
+        f.write(json.dumps({'step': epoch, 'epoch': epoch, 'validation': {'loss': 0.75}}) + '\n')
+    else:
+      total = {'iou': 0.125, 'psnr_rgb': 20.0, 'psnr_ycbcr': None}
+      with open(named['json'], 'w') as f:
+        json.dump({'networks': {'total': total}}, f)
+
+  monkeypatch.setattr(program, 'run_program', run_program)
+  return ran
+
+
+def test_trains_each_network_in_each_way_from_the_same_seed(tmp_path, commands, capsys):
+  program.run(parse('--data=D', f'--workdir={tmp_path}', '--seeds=3', '--epochs=2'))
+  trained = [named for name, named in commands if name == 'experiments.train']
+  assert [(t['network'], t.get('dtype'), t.get('heads')) for t in trained] == [
+    ('shape', None, None),
+    ('shape', 'mixed', None),
+    ('color', None, None),
+    ('color', 'mixed', None),
+    ('color', None, 'surface'),
+  ]
+  assert {(t['seed'], t['epochs'], t['data']) for t in trained} == {('3', '2', 'D')}
+  assert len({t['workdir'] for t in trained}) == 5
+  told = capsys.readouterr().out
+  assert '| shape | mixed | 3 | 0.2500 | 0.7500 | IoU 0.125 |' in told
+  assert '| color | surface | 3 | 0.1250 | 0.7500 | PSNR RGB 20.00, PSNR YCbCr none |' in told
+  pixels = np.asarray(Image.open(tmp_path / 'loss.png').convert('RGB'))
+  assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 10
+
+
+def test_what_is_evaluated_is_not_evaluated_again_until_it_is_trained_further(tmp_path, commands):
+  arguments = '--data=D', f'--workdir={tmp_path}', '--network=shape', '--variant=mixed'
+
+  def evaluations():
+    program.run(parse(*arguments))
+    return sum(name == 'experiments.evaluate' for name, _ in commands)
+
+  assert (evaluations(), evaluations()) == (1, 1)
+  later = os.path.getmtime(tmp_path / 'shape_mixed_0.json') + 10
+  os.utime(tmp_path / 'shape_mixed_0' / 'checkpoints', (later, later))
+  assert evaluations() == 2
+
+
+def test_quick_is_one_epoch(tmp_path, commands):
+  program.run(parse('--data=D', f'--workdir={tmp_path}', '--quick', '--network=color'))
+  assert {named['epochs'] for name, named in commands if name == 'experiments.train'} == {'1'}
