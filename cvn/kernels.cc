@@ -47,6 +47,7 @@ constexpr int64_t kTaps = 27;
 typedef float Vec __attribute__((vector_size(64), may_alias));
 typedef float Loose __attribute__((vector_size(64), aligned(4), may_alias));  // anywhere in memory
 
+typedef int32_t Ints __attribute__((vector_size(64), may_alias));
 typedef uint32_t Words __attribute__((vector_size(64), may_alias));
 typedef uint16_t Halves __attribute__((vector_size(32), aligned(2), may_alias));
 
@@ -720,8 +721,13 @@ void TileDeconvGradients(const Volume& s, const Bf16* x, const float* w, const O
 
 template <int... kIndex>
 Vec AddNeighbours(Vec a, Vec b, std::integer_sequence<int, kIndex...>) {
+#if defined(__clang__) || __GNUC__ >= 12
   return __builtin_shufflevector(a, b, 2 * kIndex...) +
          __builtin_shufflevector(a, b, (2 * kIndex + 1)...);
+#else
+  const Ints even = {2 * kIndex...}, odd = {2 * kIndex + 1 ...};
+  return __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, odd);
+#endif
 }
 
 // The sums of 16 vectors' lanes, as one vector.
@@ -905,7 +911,6 @@ void ConvGradients(const Volume& s, const In* in, const float* w, const float* d
 // channels come round again. Sums are a sample's; over its pieces they are made in double.
 
 enum Activation : int64_t { kIdentity = 0, kElu = 1, kSigmoid = 2 };
-typedef int32_t Ints __attribute__((vector_size(64)));
 
 CVN_INLINE Vec Select(Ints mask, Vec a, Vec b) {
   return reinterpret_cast<Vec>((mask & reinterpret_cast<Ints>(a)) |
