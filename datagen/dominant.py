@@ -14,7 +14,6 @@ import numpy as np
 LEVELS = 8  # bins a channel; what differs by more than 2 / LEVELS is apart
 CHUNK = 1 << 15  # bins looked at together; bounds the memory
 
-_BINS = LEVELS**3
 _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
 
 
@@ -37,8 +36,8 @@ def add(tally: Tally, voxel: np.ndarray, area: np.ndarray, color: np.ndarray) ->
     area: [N] above 0, in any unit.
     color: [N, 3] in [0, 1].
   """
-  r, g, b = np.clip((color * LEVELS).astype(np.int64), 0, LEVELS - 1).T
-  key = voxel * _BINS + (r * LEVELS + g) * LEVELS + b
+  bins = np.clip((color * LEVELS).astype(np.int64), 0, LEVELS - 1)
+  key = voxel * LEVELS**3 + _joined(bins, LEVELS)
   piece = area[:, None] * np.append(color, np.ones((len(color), 1)), 1)
   return _merged(np.append(tally.key, key), np.append(tally.total, piece, 0))
 
@@ -49,30 +48,43 @@ def dominant_colors(tally: Tally) -> tuple[np.ndarray, np.ndarray]:
   Returns:
     (voxel [M] in order, color [M, 3] in [0, 1]).
   """
-  of_voxel = tally.key // _BINS
-  starts = np.searchsorted(of_voxel, of_voxel[::CHUNK])  # no voxel is in two parts
-  voxel, color = [np.empty(0, np.int64)], [np.empty((0, 3))]
-  for begin, end in itertools.pairwise(np.unique(np.append(starts, len(of_voxel)))):
-    found = _largest(Tally(tally.key[begin:end], tally.total[begin:end]))
-    voxel.append(found[0])
-    color.append(found[1])
-  return np.concatenate(voxel), np.concatenate(color)
+  of_voxel, bins = _split(tally.key)
+  starts = np.flatnonzero(np.diff(of_voxel, prepend=-1))
+  total = np.add.reduceat(tally.total, starts)
+  # In most voxels one window holds everything.
+  spread = np.maximum.reduceat(bins, starts) - np.minimum.reduceat(bins, starts)
+  mixed = np.flatnonzero((spread > 1).any(-1))
+  voxel = of_voxel[starts]
+  rest = np.isin(of_voxel, voxel[mixed])
+  total[mixed] = _largest_windows(Tally(tally.key[rest], tally.total[rest]))
+  return voxel, total[:, :3] / total[:, 3:]
 
 
-def _largest(tally):
-  """The same, all at once: by voxel and window, a window being 2 x 2 x 2 bins."""
-  voxel, bins = np.divmod(tally.key, _BINS)
-  # A bin is in the windows that begin in it and one below it, along each axis, counted from 1.
-  low = np.stack(np.unravel_index(bins, (LEVELS,) * 3), -1)[:, None] + _CORNERS
-  side = LEVELS + 1
-  window = (low[..., 0] * side + low[..., 1]) * side + low[..., 2]
-  key, total = _merged(
-    (voxel[:, None] * side**3 + window).ravel(), np.repeat(tally.total, len(_CORNERS), 0)
-  )
-  voxel = key // side**3
-  order = np.lexsort((total[:, 3], voxel))
-  best = order[np.diff(voxel[order], append=-1) != 0]
-  return voxel[best], total[best, :3] / total[best, 3:]
+def _largest_windows(tally):
+  """Totals [M, 4] of the 2 x 2 x 2 bins that hold most, one row a voxel that holds something."""
+  of_voxel, bins = _split(tally.key)
+  cuts = np.searchsorted(of_voxel, of_voxel[::CHUNK])  # no voxel is in two parts
+  result = [np.empty((0, 4))]
+  for begin, end in itertools.pairwise(np.unique(np.append(cuts, len(of_voxel)))):
+    # A bin is in the windows that begin in it and one below it, along each axis, counted from 1.
+    window = _joined(bins[begin:end, None] + _CORNERS, LEVELS + 1)
+    key = of_voxel[begin:end, None] * (LEVELS + 1) ** 3 + window
+    key, total = _merged(key.ravel(), np.repeat(tally.total[begin:end], len(_CORNERS), 0))
+    voxel = key // (LEVELS + 1) ** 3
+    order = np.lexsort((total[:, 3], voxel))
+    result.append(total[order[np.diff(voxel[order], append=-1) != 0]])
+  return np.concatenate(result)
+
+
+def _split(key):
+  """Voxels [K] and bins [K, 3] of keys [K]."""
+  voxel, bins = np.divmod(key, LEVELS**3)
+  return voxel, np.stack(np.unravel_index(bins, (LEVELS,) * 3), -1)
+
+
+def _joined(bins, side):
+  """[..., 3] numbers below `side` -> [...] one number."""
+  return (bins[..., 0] * side + bins[..., 1]) * side + bins[..., 2]
 
 
 def _merged(key, total):
