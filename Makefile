@@ -12,7 +12,7 @@ demo: $(READY)
 test: $(READY)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
-	$(VENV)/bin/python -m pytest -q
+	$(VENV)/bin/python -m pytest -q -n 2
 
 test-all: $(READY)
 	$(VENV)/bin/python -m pytest -q -m ''
