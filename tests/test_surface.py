@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from cvn import deconv, normalization, surface
 from cvn.grid import PADDING_INDEX
@@ -215,4 +216,32 @@ def test_capacity_is_the_first_that_holds_all_near_cells(count):
   assert found['capacity'] == min(c for c in (7, 8, 10, 13, 16, 22, 32, 64) if c >= count)
   jax.tree.map(
     np.testing.assert_array_equal, gradient, (jnp.array([18.0, 60]), jnp.array([3.0, 12]))
+  )
+
+
+def test_devices_share_a_batch(rng):
+  """Statistics are the whole batch's, and gradients the sum's, as on one device."""
+  params, index = make_params(rng), make_index(rng, (9, 5, 12, 1))
+  features = jnp.asarray(rng.normal(size=(4, 4, 4, 4, 5)), jnp.float32)
+  weights = [rng.normal(size=(4, 12, c)).astype(np.float32) for c in (3, 2, 1)]
+
+  def loss(capacity, params, features, index):
+    return weighted(
+      functools.partial(sparse, capacity=capacity), params, features, index, weights
+    ), ()
+
+  @jax.jit
+  def gradient(params, features, index):
+    def total(params, features):
+      near = surface.near_cells(index, GRID)
+      return surface.by_capacity(loss, near, params, features, index)
+
+    return jax.grad(total, (0, 1), has_aux=True)(params, features)[0]
+
+  mesh = jax.make_mesh((2,), ('batch',), (AxisType.Auto,), devices=jax.devices()[:2])
+  spread = jax.device_put((features, index), NamedSharding(mesh, PartitionSpec('batch')))
+  jax.tree.map(
+    lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5),
+    gradient(jax.device_put(params, NamedSharding(mesh, PartitionSpec())), *spread),
+    gradient(params, features, index),
   )
