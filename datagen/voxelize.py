@@ -94,9 +94,12 @@ def voxelize(
   if not len(voxel):
     raise UserError('the mesh has no visible surface inside the cube')
 
-  color = albedo(mesh, claims.face[voxel], claims.barycentric[voxel])[:, :3]
   sampled, dominant_color = dominant.dominant_colors(_tally(mesh, corners, size, claims, seen))
-  color[np.searchsorted(voxel, sampled)] = dominant_color
+  bare = np.isin(voxel, sampled, invert=True)
+  at = voxel[bare]
+  color = np.empty((len(voxel), 3))
+  color[~bare] = dominant_color
+  color[bare] = albedo(mesh, claims.face[at], claims.barycentric[at])[:, :3]
   index = np.stack(np.unravel_index(voxel, (size,) * 3), -1)
   triangle = mesh.vertices[mesh.faces[claims.face[voxel]]]
   return SurfaceVoxels(
@@ -244,7 +247,7 @@ def _tally(mesh, corners, size, claims, seen):
     share = 2 * s * area[f] / (rows[f] * columns[f])  # a row's cells are as wide as the row
     present = is_surface(mesh, f, weights) & (share > 0)
     if seen is not None:
-      share = np.where(seen[f], share, share * UNSEEN)
+      share[~seen[f]] *= UNSEEN
     color = albedo(mesh, f[present], weights[present])[:, :3]
     tally = dominant.add(tally, at[present], share[present], color)
   return tally
