@@ -2,8 +2,8 @@
 
 A voxel stands for the surface's point nearest to its centre. It is visible in a view when that
 point lies within `tolerance` voxels, along the viewing axis, of the surface that the view shows in
-the pixel the point projects to; its flow is that projection. A voxel's colour is a mean over its
-surface, and the pixel there may show something else: then the flow is the centre of the closest of
+the pixel the point projects to; its flow is that projection. A voxel's colour is its surface's
+dominant one, and the pixel there may show another: then the flow is the centre of the closest of
 the pixels around it, of the 3 x 3 that a voxel covers about, that shows a similar colour and a
 surface within the tolerance. When none does, the projection stands.
 
