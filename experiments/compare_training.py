@@ -23,6 +23,7 @@ from experiments.demo import read_bytes, read_json, run_program
 
 VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
 SHAPE_VARIANTS = ('float32', 'mixed')
+STYLES = dict(zip(VARIANTS, ('-', '--', ':'), strict=True))  # float32 and mixed lie on each other
 MEASURES = {
   'shape': (('iou', 'IoU', '.3f'),),
   'color': (('psnr_rgb', 'PSNR RGB', '.2f'), ('psnr_ycbcr', 'PSNR YCbCr', '.2f')),
@@ -149,10 +150,11 @@ def draw(trainings: list[Training], path: str) -> None:
     for t in (t for t in trainings if t.network == network):
       color = f'C{variants.index(t.variant)}'
       label = t.variant if t.seed == trainings[0].seed else None
-      axes.plot(*zip(*t.curve, strict=True), color=color, label=label, linewidth=1.2)
+      style = {'color': color, 'linestyle': STYLES[t.variant], 'label': label}
+      axes.plot(*zip(*t.curve, strict=True), **style)
       if t.validated:
         axes.plot(*zip(*t.validated, strict=True), 'o', color=color, markersize=3)
-    axes.set(title=f'{network} network', xlabel='epoch', ylabel='loss', yscale='log')
+    axes.set(title=f'{network} network', xlabel='epoch', ylabel='loss')
     axes.legend(frameon=False)
   with atomic_write(path) as temporary:
     figure.savefig(temporary, format='png')
