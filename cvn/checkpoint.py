@@ -27,7 +27,7 @@ from cvn.errors import UserError
 FORMAT = 1
 KEEP = 2
 # What runs did that were begun before there was a setting.
-_BEFORE = {'dtype': 'float32', 'heads': 'dense'}
+_BEFORE = {'dtype': 'float32', 'heads': 'dense', 'shape_loss': 'msfcel', 'source': []}
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
@@ -35,7 +35,8 @@ def start(workdir: str, config: dict[str, Any]) -> None:
 
   Args:
     workdir: the folder; made where it is missing.
-    config: 'network' ('shape' or 'color') and every setting that must not change; JSON values.
+    config: 'network', a key of networks.NETWORKS, and every setting that must not change; JSON
+      values.
 
   Raises:
     UserError: the folder holds another run, or cannot be written.
@@ -143,12 +144,12 @@ def restore(workdir: str, template) -> tuple[Any, dict[str, Any]] | None:
   return _load(workdir, step, load)
 
 
-def load_network(workdir: str, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, Any]]:
   """A trained network, for inference.
 
   Args:
     workdir: the run's folder.
-    kind: 'shape' or 'color', the network that is needed.
+    kinds: of network that are of use.
 
   Returns:
     (config, variables): the run's settings, and {'params', 'batch_stats'} of its newest
@@ -158,8 +159,9 @@ def load_network(workdir: str, kind: str) -> tuple[dict[str, Any], dict[str, Any
     UserError: there is no such network in the folder, no checkpoint yet, or a damaged one.
   """
   config = read_config(workdir)
-  if config.get('network') != kind:
-    raise UserError(f'{workdir} holds a {config.get("network")} network, a {kind} one is needed')
+  if config.get('network') not in kinds:
+    needed = ' or '.join(kinds)
+    raise UserError(f'{workdir} holds a {config.get("network")} network, a {needed} one is needed')
   step = latest_step(workdir)
   if step is None:
     raise UserError(f'{workdir} has no checkpoint yet: train it first (experiments.train)')

@@ -44,26 +44,32 @@ class ShapeBatch(NamedTuple):
   index: Any  # [B, S, 3] int32
 
 
-def select_rows(dataset: Dataset, split: str, categories: Sequence[str] = ()) -> np.ndarray:
-  """Rows [N] of the finished models of a split; of the categories named, or of all.
+def select_rows(
+  dataset: Dataset, split: str, categories: Sequence[str] = (), sources: Sequence[str] = ()
+) -> np.ndarray:
+  """Rows [N] of the finished models of a split; of the categories and sources named, or of all.
 
   The result may be empty where the split holds no finished model.
 
   Raises:
-    UserError: the data set has no such split or category.
+    UserError: the data set has no such split, category or source.
   """
   models = dataset.manifest.models
   if split not in dataset_lib.SPLITS:
     raise UserError(f'{split!r} is no split; there are {", ".join(dataset_lib.SPLITS)}')
-  known = sorted({m.category for m in models})
-  for c in categories:
-    if c not in known:
-      raise UserError(f'{dataset.root} has no category {c!r}; it has {", ".join(known)}')
+  for field, wanted in (('category', categories), ('source', sources)):
+    known = sorted({getattr(m, field) for m in models})
+    for name in wanted:
+      if name not in known:
+        raise UserError(f'{dataset.root} has no {field} {name!r}; it has {", ".join(known)}')
   counts = dataset_lib.surface_counts(dataset)
   chosen = [
     row
     for row, m in enumerate(models)
-    if m.split == split and counts[row] > 0 and (not categories or m.category in categories)
+    if m.split == split
+    and counts[row] > 0
+    and (not categories or m.category in categories)
+    and (not sources or m.source in sources)
   ]
   return np.array(chosen, np.int64)
 

@@ -3,12 +3,15 @@
 Volumes are [..., X, Y, Z]; colours sRGB in [0, 1]; PSNR is in dB, for colours times 255.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cvn.grid import ColoredVoxels
+
+OCCUPIED = 0.8  # the probability from which on a voxel is occupied, in the authors' program
 
 # Full-range YCbCr of JPEG; its offset of 128 cancels in differences.
 _YCBCR = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
@@ -36,6 +39,28 @@ def iou(predicted, true):
   volume = (-3, -2, -1)
   intersection = (predicted & true).sum(volume)
   union = (predicted | true).sum(volume)
+  return (intersection + (union == 0)) / (union + (union == 0))
+
+
+def iou_at(score: np.ndarray, true: np.ndarray, thresholds: Sequence[float]) -> np.ndarray:
+  """The IoU of what scores above a threshold, for many thresholds at once.
+
+  Args:
+    score: [X, Y, Z] how occupied voxels are.
+    true: [X, Y, Z] bool.
+    thresholds: [T], increasing.
+
+  Returns:
+    [T], as `iou(score > t, true)`.
+  """
+  above = np.searchsorted(thresholds, np.ravel(score), 'left')  # how many thresholds are below
+  occupied = np.ravel(true)
+
+  def count(values):
+    return np.bincount(values, minlength=len(thresholds) + 1)[::-1].cumsum()[::-1][1:]
+
+  intersection = count(above[occupied])
+  union = count(above) + occupied.sum() - intersection
   return (intersection + (union == 0)) / (union + (union == 0))
 
 

@@ -130,6 +130,32 @@ class ColorNetwork(nn.Module):
     return _color_heads(x, train)
 
 
+class RegressionNetwork(nn.Module):
+  """The colour regression model (section 4.1): colours [B, X, Y, Z, 3] in [0, 1], and no others."""
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+  mixed: bool = False
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return Head(16, 3, SIGMOID, name='regressed')(x, train)
+
+
+class FlowNetwork(nn.Module):
+  """The flow model (section 4.1): (u, v) [B, X, Y, Z, 2] in [0, 1], and no colours."""
+
+  image_size: int = IMAGE_SIZE
+  grid_size: int = GRID_SIZE
+  mixed: bool = False
+
+  @nn.compact
+  def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
+    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
+    return FlowHead(name='flow')(x, train)
+
+
 class JointNetwork(nn.Module):
   """The unified network (section 4.3): one trunk, four volumes. -> (logits, `ColorVolumes`)."""
 
@@ -158,3 +184,13 @@ class AdaptedR2N2(nn.Module):
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
     return Head(24, 3, name='head')(x, train)
+
+
+NETWORKS = {
+  'shape': ShapeNetwork,
+  'color': ColorNetwork,
+  'regression': RegressionNetwork,
+  'flow': FlowNetwork,
+  'joint': JointNetwork,
+  'r2n2': AdaptedR2N2,
+}

@@ -16,6 +16,7 @@ class Recipe(NamedTuple):
   """How a network is trained. Schedules are functions of the samples seen so far."""
 
   name: str
+  shape_loss: Callable  # (logits, occupancy) -> scalar
   surface_distance: Callable  # (prediction, target, mask) -> scalar, of the three colour terms
   sample: Callable  # (image, flow) -> colours, in training
   kernel_penalty: float  # times the sum of absolute kernel values, added to the loss
@@ -37,6 +38,7 @@ def norm_decay(samples: jax.Array) -> jax.Array:
 
 PAPER = Recipe(
   'paper',
+  shape_loss=losses.msfcel,
   surface_distance=losses.surface_l2,
   sample=sampler.bilinear,
   kernel_penalty=0.0,
@@ -44,6 +46,7 @@ PAPER = Recipe(
 )
 RELEASE = Recipe(
   'release',
+  shape_loss=losses.msfcel,
   surface_distance=losses.surface_l1,
   sample=sampler.nearest,
   kernel_penalty=1e-5,

@@ -16,9 +16,15 @@ import numpy as np
 from cvn import blending, sampler
 from cvn.data import GREY
 from cvn.grid import GRID_SIZE, ColoredVoxels
-from cvn.networks import ColorNetwork, ShapeNetwork
-
-OCCUPIED = 0.8  # the probability from which on a voxel is occupied, in the authors' program
+from cvn.metrics import OCCUPIED
+from cvn.networks import (
+  AdaptedR2N2,
+  ColorNetwork,
+  FlowNetwork,
+  JointNetwork,
+  RegressionNetwork,
+  ShapeNetwork,
+)
 
 
 class ColorEstimate(NamedTuple):
@@ -82,10 +88,7 @@ def estimate_color(
   """
   image, color, foreground = _prepare(views, background)
   volumes = ColorNetwork(views.shape[2], grid_size).apply(variables, image, train=False)
-  sampled = sampler.nearest_foreground(color, volumes.flow, foreground)
-  weight = blending.recalculate_weight(volumes.weight, alpha)
-  blended = blending.blend(sampled, volumes.regressed, weight)
-  return ColorEstimate(volumes.regressed, sampled, volumes.flow, volumes.weight[..., 0], blended)
+  return _blend(volumes, color, foreground, alpha)
 
 
 @functools.partial(jax.jit, static_argnames=('alpha', 'grid_size'))
@@ -118,11 +121,68 @@ def reconstruct(
   )
 
 
+@functools.partial(jax.jit, static_argnames=('alpha', 'grid_size'))
+def estimate_joint(
+  variables,
+  views: jax.Array,
+  *,
+  alpha: float = blending.ALPHA,
+  background: float = GREY,
+  grid_size: int = GRID_SIZE,
+) -> Reconstruction:
+  """The same from the variables of one `JointNetwork`."""
+  image, color, foreground = _prepare(views, background)
+  logits, volumes = JointNetwork(views.shape[2], grid_size).apply(variables, image, train=False)
+  return Reconstruction(jax.nn.sigmoid(logits[..., 0]), *_blend(volumes, color, foreground, alpha))
+
+
+@functools.partial(jax.jit, static_argnames='grid_size')
+def estimate_regression(
+  variables, views: jax.Array, *, background: float = GREY, grid_size: int = GRID_SIZE
+) -> jax.Array:
+  """The colours [B, X, Y, Z, 3] of a `RegressionNetwork`; arguments as of `estimate_shape`."""
+  image, _, _ = _prepare(views, background)
+  return RegressionNetwork(views.shape[2], grid_size).apply(variables, image, train=False)
+
+
+@functools.partial(jax.jit, static_argnames='grid_size')
+def estimate_flow(
+  variables, views: jax.Array, *, background: float = GREY, grid_size: int = GRID_SIZE
+) -> tuple[jax.Array, jax.Array]:
+  """The flow [B, X, Y, Z, 2] of a `FlowNetwork`, and the foreground colours that it fetches.
+
+  Arguments as of `estimate_shape`.
+  """
+  image, color, foreground = _prepare(views, background)
+  flow = FlowNetwork(views.shape[2], grid_size).apply(variables, image, train=False)
+  return flow, sampler.nearest_foreground(color, flow, foreground)
+
+
+@functools.partial(jax.jit, static_argnames='grid_size')
+def estimate_r2n2(
+  variables, views: jax.Array, *, background: float = GREY, grid_size: int = GRID_SIZE
+) -> jax.Array:
+  """The joint volume [B, X, Y, Z, 3] of an `AdaptedR2N2`, for `blending.adjust_color`.
+
+  Arguments as of `estimate_shape`.
+  """
+  image, _, _ = _prepare(views, background)
+  return AdaptedR2N2(views.shape[2], grid_size).apply(variables, image, train=False)
+
+
 def to_voxels(reconstruction: Reconstruction, threshold: float = OCCUPIED) -> ColoredVoxels:
   """The coloured shape of one reconstruction (no batch axis), as numpy arrays."""
   return ColoredVoxels(
     np.asarray(reconstruction.probability) >= threshold, np.asarray(reconstruction.blended)
   )
+
+
+def _blend(volumes, color, foreground, alpha):
+  """The colours of `ColorVolumes`."""
+  sampled = sampler.nearest_foreground(color, volumes.flow, foreground)
+  weight = blending.recalculate_weight(volumes.weight, alpha)
+  blended = blending.blend(sampled, volumes.regressed, weight)
+  return ColorEstimate(volumes.regressed, sampled, volumes.flow, volumes.weight[..., 0], blended)
 
 
 def _prepare(views, background):

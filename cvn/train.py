@@ -1,9 +1,8 @@
 """Training: the state, and one compiled step for each network.
 
-`kind` is 'shape' (image to occupancy, MSFCEL) or 'color' (image to colours, flow and weights). A
-batch is a `data.ShapeBatch` or a `data.Batch`; losses look at surface voxels, whose indices
-[B, S, 3] are padded with PADDING_INDEX. All that a step needs comes in, all that it changes goes
-out.
+`kind` is a key of `networks.NETWORKS`; cvn.objectives says what each is trained for. A batch is a
+`data.ShapeBatch` for shapes, else a `data.Batch`. All that a step needs comes in, all that it
+changes goes out.
 """
 
 from collections.abc import Callable
@@ -13,12 +12,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from cvn import blending, losses, metrics, surface
-from cvn.networks import ColorNetwork, ColorVolumes, ShapeNetwork, Trunk
+from cvn import networks, objectives, surface
+from cvn.networks import Trunk
 from cvn.recipe import Recipe, norm_decay
-from cvn.reconstruct import OCCUPIED
 
-NETWORKS = {'shape': ShapeNetwork(), 'color': ColorNetwork()}
+NETWORKS = {kind: network() for kind, network in networks.NETWORKS.items()}
 
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-8)
 
@@ -37,7 +35,7 @@ def create_state(key: jax.Array, kind: str) -> TrainState:
 
   Args:
     key: of the parameters.
-    kind: 'shape' or 'color'.
+    kind: of network.
   """
   network = NETWORKS[kind]
   image = jnp.zeros((1, network.image_size, network.image_size, 3))
@@ -52,7 +50,7 @@ def make_step(
   """One optimisation step, compiled; the state that goes in is donated.
 
   Args:
-    kind: 'shape' or 'color'.
+    kind: of network.
     recipe: loss, schedules, penalty.
     learning_rate: a constant one, instead of the recipe's.
     mixed: whether products are of bfloat16 numbers.
@@ -64,7 +62,7 @@ def make_step(
   network = NETWORKS[kind].clone(mixed=mixed)
 
   def objective(params, batch_stats, batch):
-    return _objective(params, batch_stats, batch, network, recipe, True)
+    return _objective(params, batch_stats, batch, network, kind, recipe, True)
 
   return _compile_step(objective, recipe, learning_rate)
 
@@ -106,25 +104,23 @@ def _compile_step(objective, recipe, learning_rate):
 
 
 def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str, jax.Array]]:
-  """The metrics of a batch with running statistics, compiled: the loss, and for shapes the IoU."""
+  """The metrics of a batch with running statistics, compiled: the loss, and the IoU of a shape."""
 
   def evaluate(state, batch):
     _, (found, _) = _objective(
-      state.params, state.batch_stats, batch, NETWORKS[kind], recipe, False
+      state.params, state.batch_stats, batch, NETWORKS[kind], kind, recipe, False
     )
     return found
 
   return jax.jit(evaluate)
 
 
-def _objective(params, batch_stats, batch, network, recipe, train):
+def _objective(params, batch_stats, batch, network, kind, recipe, train):
   """(loss, (metrics, batch statistics))."""
-  volumes, mutated = network.apply(
+  output, mutated = network.apply(
     {'params': params, 'batch_stats': batch_stats}, batch.image, train=train, mutable='batch_stats'
   )
-  loss, found = (_shape_loss if isinstance(network, ShapeNetwork) else _color_loss)(
-    volumes, batch, recipe, train
-  )
+  loss, found = objectives.OBJECTIVES[kind](output, batch, recipe, train)
   if recipe.kernel_penalty:
     loss = loss + recipe.kernel_penalty * _kernel_sum(params)
   return loss, ({'loss': loss, **found}, mutated['batch_stats'])
@@ -143,7 +139,7 @@ def _surface_objective(params, batch_stats, batch, trunk, recipe):
   def heads_loss(capacity, heads, features, batch, near):
     places = surface.find_places(near, batch.index, capacity)
     volumes, statistics = surface.color_heads(heads, features, places, mixed=trunk.mixed)
-    loss, terms = _loss_at_surface(volumes, batch, places.mask, recipe)
+    loss, terms = objectives.color_at_surface(volumes, batch, places.mask, recipe)
     return loss, (terms, statistics)
 
   near = surface.near_cells(batch.index, trunk.grid_size)
@@ -151,41 +147,6 @@ def _surface_objective(params, batch_stats, batch, trunk, recipe):
   if recipe.kernel_penalty:
     loss = loss + recipe.kernel_penalty * _kernel_sum(params)
   return loss, ({'loss': loss, **found}, {'trunk': mutated['batch_stats'], **statistics})
-
-
-def _shape_loss(logits, batch, recipe, train):
-  del recipe  # both recipes train the shape network alike
-  logits = logits[..., 0]
-  occupancy = jax.vmap(
-    lambda i: jnp.zeros(logits.shape[1:], bool).at[tuple(i.T)].set(True, mode='drop')
-  )(batch.index)
-  loss = losses.msfcel(logits, occupancy)
-  if train:
-    return loss, {}
-  return loss, {'iou': jnp.mean(metrics.iou(jax.nn.sigmoid(logits) > OCCUPIED, occupancy))}
-
-
-def _color_loss(volumes, batch, recipe, train):
-  del train
-  # One gather for the three volumes; what it leaves out gets no gradient.
-  stacked = jnp.concatenate(volumes, axis=-1)
-  mask = batch.index[..., 0] < stacked.shape[1]
-  at_surface = jax.vmap(lambda v, i: v.at[tuple(i.T)].get(mode='fill', fill_value=0))(
-    stacked, batch.index
-  )
-  return _loss_at_surface(
-    ColorVolumes(*jnp.split(at_surface, (3, 5), axis=-1)), batch, mask, recipe
-  )
-
-
-def _loss_at_surface(volumes, batch, mask, recipe):
-  """(loss, its terms) of volumes at the surface voxels [B, S, channels]."""
-  regressed, flow, weight = volumes
-  blended = blending.blend(recipe.sample(batch.image, flow), regressed, weight)
-  loss, terms = losses.color_objective(
-    regressed, blended, flow, batch.color, batch.flow, mask, distance=recipe.surface_distance
-  )
-  return loss, terms._asdict()
 
 
 def _kernel_sum(params):

@@ -1,12 +1,14 @@
-"""Which split a model belongs to: by a stable hash of its id, or from lists in files."""
+"""Which split a model belongs to: by hash, by rank, or from lists in files."""
 
 import hashlib
+import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cvn.dataset import SPLITS
 from cvn.errors import UserError
+from cvn.files import atomic_write
 
 FRACTIONS = (0.7, 0.1, 0.2)  # train, val, test, as in the paper
 SYNSETS = {  # of the paper's categories, as ShapeNet and the authors' lists name them
@@ -31,6 +33,43 @@ def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
   at = int.from_bytes(digest[:8], 'big') / 2**64
   train, val, _ = fractions
   return SPLITS[(at >= train) + (at >= train + val)]
+
+
+def ranked_splits(
+  families: Mapping[str, str], fractions: Sequence[float] = FRACTIONS
+) -> dict[str, str]:
+  """The splits of a small collection, whose shares a hash alone would miss.
+
+  Families stand in the order of their hashes: the first are for testing until their models are the
+  share asked for, the next for validation, the others for training. A single model is for testing.
+
+  Args:
+    families: model id -> what it has in common with the models that must share its split.
+    fractions: shares of train, val and test, of sum 1; those of test and val are rounded up.
+
+  Returns:
+    model id -> 'train', 'val' or 'test'.
+  """
+  members: dict[str, list[str]] = {}
+  for model_id, family in families.items():
+    members.setdefault(family, []).append(model_id)
+  _, val, test = fractions
+  wanted = {'test': math.ceil(test * len(families)), 'val': math.ceil(val * len(families))}
+  splits: dict[str, str] = {}
+  for family in sorted(members, key=lambda name: hashlib.sha256(name.encode()).digest()):
+    split = next((s for s, left in wanted.items() if left > 0), 'train')
+    splits |= dict.fromkeys(members[family], split)
+    wanted[split] = wanted.get(split, 0) - len(members[family])
+  return splits
+
+
+def write_splits(folder: str, category: str, splits: Mapping[str, str]) -> None:
+  """Writes the lists that `read_splits` reads, each in the order of its ids."""
+  for split in SPLITS:
+    ids = sorted(model_id for model_id, s in splits.items() if s == split)
+    with atomic_write(os.path.join(folder, f'{split}_list_{category}.txt')) as temporary:
+      with open(temporary, 'w', encoding='utf-8') as f:
+        f.writelines(f'{model_id}\n' for model_id in ids)
 
 
 def read_splits(folder: str, category: str) -> dict[str, str]:

@@ -24,18 +24,19 @@ from typing import Any
 
 from absl import flags
 
-from cvn import environment, errors, train
+from cvn import environment, errors
 from cvn.files import atomic_write
 from experiments import layer_table, measuring, peer
 from experiments.train import DTYPES
 
+KINDS = ('shape', 'color')
 INFERENCES = 20
 
 
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
-  flags.DEFINE_enum('network', 'both', [*train.NETWORKS, 'both'], 'Which network.', **own)
+  flags.DEFINE_enum('network', 'both', [*KINDS, 'both'], 'Which network.', **own)
   flags.DEFINE_list('batch_size', ['12'], 'Views a step; one size or several.', **own)
   flags.DEFINE_list('dtype', [*DTYPES], 'Of products: float32, mixed or both.', **own)
   flags.DEFINE_integer('steps', 5, 'Timed in a round, after one that is not.', 1, **own)
@@ -61,7 +62,7 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Measures as the flags say; --json is written anew after each combination."""
-  kinds = [*train.NETWORKS] if f.network == 'both' else [f.network]
+  kinds = [*KINDS] if f.network == 'both' else [f.network]
   combinations = [*itertools.product(kinds, map(int, f.batch_size), f.dtype)]
   commands = {c: peer_command(f, *c) for c in combinations} if f.peer else {}
   found = {'machine': measuring.alone(measuring.describe_machine), 'training': []}

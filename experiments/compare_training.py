@@ -12,14 +12,14 @@ loss curves to WORKDIR/loss.png. Several --seeds tell how much of a difference i
 
 import json
 import os
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib.figure
 from absl import flags
 
 from cvn import errors
 from cvn.files import atomic_write
-from experiments.demo import read_bytes, read_json, run_program
+from experiments.stages import read_bytes, read_json, run_program
 
 VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
 SHAPE_VARIANTS = ('float32', 'mixed')
@@ -82,28 +82,23 @@ def train(f: flags.FlagValues, network: str, variant: str, seed: str) -> Trainin
   name = f'{network}_{variant}_{seed}'
   workdir, report = (os.path.join(f.workdir, n) for n in (name, f'{name}.json'))
   run_program(
-    to_arguments(
-      'experiments.train',
-      network=network,
-      data=f.data,
-      workdir=workdir,
-      epochs=epochs,
-      batch_size=f.batch_size,
-      learning_rate=f.learning_rate,
-      seed=seed,
-      log_every=10**6,  # then a line is an epoch's
-      validate_every=max(1, epochs // 6),
-      validation_views=VALIDATION_VIEWS,
-      **VARIANTS[variant],
-    ),
     f.workdir,
+    'experiments.train',
+    network=network,
+    data=f.data,
+    workdir=workdir,
+    epochs=epochs,
+    batch_size=f.batch_size,
+    learning_rate=f.learning_rate,
+    seed=seed,
+    log_every=10**6,  # then a line is an epoch's
+    validate_every=max(1, epochs // 6),
+    validation_views=VALIDATION_VIEWS,
+    **VARIANTS[variant],
   )
   trained_at = os.path.getmtime(os.path.join(workdir, 'checkpoints'))
   if not os.path.exists(report) or os.path.getmtime(report) < trained_at:
-    run_program(
-      to_arguments('experiments.evaluate', data=f.data, json=report, **{network: workdir}),
-      f.workdir,
-    )
+    run_program(f.workdir, 'experiments.evaluate', data=f.data, json=report, **{network: workdir})
   lines = [json.loads(x) for x in read_bytes(os.path.join(workdir, 'log.jsonl')).splitlines()]
   measured = read_json(report)['networks']['total']
   return Training(
@@ -114,11 +109,6 @@ def train(f: flags.FlagValues, network: str, variant: str, seed: str) -> Trainin
     [(x['epoch'], x['validation']['loss']) for x in lines if 'validation' in x],
     {key: measured[key] for key, *_ in MEASURES[network]},
   )
-
-
-def to_arguments(program: str, **named: Any) -> list[str]:
-  """A program's name and its flags."""
-  return [program, *(f'--{k}={v}' for k, v in named.items())]
 
 
 def to_table(trainings: list[Training]) -> str:

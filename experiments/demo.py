@@ -9,11 +9,6 @@ out. The exit status is 1 when that is not better than the trivial baselines.
 
 import json
 import os
-import shlex
-import subprocess
-import sys
-import time
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +20,7 @@ from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from experiments import demo_page
+from experiments.stages import read_bytes, read_json, run_program, seconds_of
 
 # Pictures show the object's front at different angles: these views of the data set, in turn.
 PICTURE_VIEWS = (1, 11, 2, 10)
@@ -78,7 +74,7 @@ def run(f: flags.FlagValues) -> int:
   lines = []
 
   def stage(program, **named):
-    lines.append(run_program([program, *(f'--{k}={v}' for k, v in named.items())], f.output))
+    lines.append(run_program(f.output, program, **named))
 
   stage(
     'datagen.generate',
@@ -121,42 +117,13 @@ def run(f: flags.FlagValues) -> int:
       *read_curves('colour', os.path.join(folder['color'], 'log.jsonl')),
     ],
     contact_sheet=read_bytes(os.path.join(folder['data'], 'contact_sheet.png')),
-    commands=[(line, read_json(seconds_file(f.output))[line]) for line in lines],
+    commands=[(line, seconds_of(line, f.output)) for line in lines],
   )
   index = os.path.join(f.output, 'index.html')
   with atomic_write(index) as temporary, open(temporary, 'w', encoding='utf-8') as out:
     out.write(demo_page.render(page))
   print(f'\n{verdict}\nopen {index}')
   return int(not success)
-
-
-def run_program(arguments: Sequence[str], output: str) -> str:
-  """Runs one of the project's programs, and adds its seconds to those of earlier runs of it.
-
-  Returns:
-    The command.
-
-  Raises:
-    UserError: it failed; it has said why itself.
-  """
-  line = shlex.join(['python', '-m', *arguments])
-  print(f'\n$ {line}', flush=True)
-  start = time.monotonic()
-  process = subprocess.Popen([sys.executable, '-m', *arguments])
-  try:
-    status = process.wait()
-  except KeyboardInterrupt:
-    process.wait()  # it got the interrupt too, and may be saving
-    raise
-  finally:
-    path = seconds_file(output)
-    seconds = read_json(path) if os.path.exists(path) else {}
-    seconds[line] = seconds.get(line, 0) + time.monotonic() - start
-    with atomic_write(path) as temporary, open(temporary, 'w') as out:
-      json.dump(seconds, out, indent=1)
-  if status:
-    raise UserError(f'{arguments[0]} ended with status {status}, see above')
-  return line
 
 
 def choose_pictures(dataset: Dataset, count: int) -> list[Picture]:
@@ -270,25 +237,6 @@ def about(dataset: Dataset, f: flags.FlagValues) -> str:
     ' 2372 models a category. No held-out object was seen in training, and the examples are the'
     ' first of them, not the best.'
   )
-
-
-def seconds_file(output: str) -> str:
-  return os.path.join(output, 'seconds.json')
-
-
-def read_bytes(path: str) -> bytes:
-  try:
-    with open(path, 'rb') as f:
-      return f.read()
-  except OSError as e:
-    raise UserError(f'cannot read {path}: {e.strerror}') from e
-
-
-def read_json(path: str):
-  try:
-    return json.loads(read_bytes(path))
-  except ValueError as e:
-    raise UserError(f'{path} is damaged: remove it and run this again') from e
 
 
 if __name__ == '__main__':

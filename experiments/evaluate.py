@@ -1,7 +1,11 @@
 r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
-  [--category=NAME,...] [--alpha=0.2] [--baselines] [--json=FILE]
+  [--category=NAME,...] [--source=NAME,...] [--alpha=0.2] [--threshold=NUMBER|val] [--baselines]
+  [--json=FILE]
+
+Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
+flow, joint or r2n2.
 
 Means are taken over all views of all models: by view, by category and in total. The paper's last
 column is the mean of the categories' means.
@@ -17,43 +21,36 @@ import contextlib
 import functools
 import json
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import baselines, blending, checkpoint, data, environment, errors, metrics, reconstruct
+from cvn import baselines, blending, data, environment, errors, methods, metrics
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from cvn.grid import ColoredVoxels
-from cvn.networks import ColorNetwork, ShapeNetwork
-
-METRICS = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB', 'psnr_ycbcr': 'PSNR YCbCr'}
-
-
-# The true colours are rounded to 8 bits, a squared error of 1/12. A view that comes closer than it
-# (an object of one colour, sampled) would otherwise weigh more than all the others.
-PSNR_CEILING = 10 * math.log10(12 * 255**2)  # 58.9 dB
-
-
-class Baseline(NamedTuple):
-  """What a category's training models have in common."""
-
-  occupancy: np.ndarray  # [X, Y, Z] bool
-  color: np.ndarray  # [3] in [0, 1]
+from experiments import scoring
+from experiments.scoring import METRICS, Baseline, Network
 
 
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
   flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('shape', None, "The trained shape network's workdir.", **own)
-  flags.DEFINE_string('color', None, "The trained colour network's workdir.", **own)
+  flags.DEFINE_string('shape', None, 'The workdir of the network for shapes.', **own)
+  flags.DEFINE_string('color', None, 'The workdir of the network for colours.', **own)
   flags.DEFINE_enum('split', 'test', SPLITS, 'The models to evaluate on.', **own)
   flags.DEFINE_list('category', [], 'Categories to evaluate on; all of them by default.', **own)
+  flags.DEFINE_list('source', [], 'Sources of models to evaluate on; all by default.', **own)
+  flags.DEFINE_string(
+    'threshold',
+    None,
+    "From which score on a voxel is occupied; 'val' chooses it on the split val. By default"
+    f' {metrics.OCCUPIED}, of r2n2 {methods.THRESHOLDS["r2n2"]}.',
+    **own,
+  )
   flags.DEFINE_float(
     'alpha',
     blending.ALPHA,
@@ -64,6 +61,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
   flags.register_validator('alpha', lambda x: 0 < x <= 1, 'must be in (0, 1]', f)
+  flags.register_validator('threshold', is_threshold, "must be a number or 'val'", f)
 
 
 def main(_) -> int:
@@ -75,23 +73,30 @@ def run(f: flags.FlagValues) -> int:
   if not (f.shape or f.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, f.split, f.category)
+  rows = data.select_rows(dataset, f.split, f.category, f.source)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
-  networks = {
-    kind: load(workdir, kind, dataset)
-    for kind, workdir in (('shape', f.shape), ('color', f.color))
-    if workdir
-  }
+  shape = scoring.load(f.shape, methods.SHAPE_KINDS, dataset) if f.shape else None
+  color = scoring.load(f.color, methods.COLOR_KINDS, dataset) if f.color else None
+  models = dataset.manifest.models
   # The file's place is tried before the work, not after it.
   with atomic_write(f.json) if f.json else contextlib.nullcontext() as temporary:
-    means = find_baselines(dataset, rows) if f.baselines else None
+    means = find_baselines(dataset, rows) if f.baselines else {}
+    threshold = find_threshold(f, dataset, shape)
     found = [
-      evaluate_model(dataset, row, networks, means, f.alpha)
+      scoring.score_model(
+        dataset,
+        row,
+        shape,
+        color,
+        means.get(models[row].category),
+        alpha=f.alpha,
+        threshold=threshold,
+      )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
     report = {name: f[name].value for name in ('data', 'split', 'shape', 'color', 'alpha')}
-    report |= summarize(dataset, rows, found)
+    report |= {'threshold': threshold} | summarize(dataset, rows, found)
     print_report(report)
     if temporary:
       with open(temporary, 'w') as out:
@@ -99,24 +104,31 @@ def run(f: flags.FlagValues) -> int:
   return 0
 
 
-def load(workdir: str, kind: str, dataset: Dataset) -> dict[str, Any]:
-  """A network's variables.
+def is_threshold(text: str | None) -> bool:
+  """Whether the flag says something that can be done."""
+  if text in (None, 'val'):
+    return True
+  try:
+    return math.isfinite(float(text))
+  except ValueError:
+    return False
+
+
+def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None) -> float:
+  """The threshold that the flags ask for.
 
   Raises:
-    UserError: there is none, or it is for data of another size.
+    UserError: it is to be chosen, and there is nothing to choose it on.
   """
-  _, variables = checkpoint.load_network(workdir, kind)
-  m = dataset.manifest
-  network = {'shape': ShapeNetwork, 'color': ColorNetwork}[kind](m.image_size, m.grid_size)
-  image = jax.ShapeDtypeStruct((1, m.image_size, m.image_size, 3), np.float32)
-  try:
-    jax.eval_shape(functools.partial(network.apply, train=False), variables, image)
-  except Exception as e:  # whichever layer meets the wrong size first
-    raise UserError(
-      f'{workdir} is not for {m.image_size}-pixel views and a grid of {m.grid_size}, as'
-      f' {dataset.root} has them: train on this data set'
-    ) from e
-  return jax.device_put(variables)
+  if f.threshold not in (None, 'val'):
+    return float(f.threshold)
+  if shape is None or f.threshold is None:
+    return methods.THRESHOLDS[shape.kind if shape else 'shape']
+  rows = data.select_rows(dataset, 'val', f.category, f.source)
+  if len(rows) == 0:
+    raise UserError(f'{f.data} has no finished model in the split val: give a --threshold')
+  progress = tqdm(rows, desc='threshold on val', unit='model', disable=None)
+  return scoring.choose_threshold(dataset, progress, shape)
 
 
 def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
@@ -142,52 +154,10 @@ def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
   }
 
 
-def evaluate_model(dataset: Dataset, row: int, networks, means, alpha: float) -> dict[str, Any]:
-  """The metrics of all views of a model: {'networks': {metric: [V]}, 'baselines': likewise}."""
-  record = read_record(dataset, row)
-  size = dataset.manifest.grid_size
-  true = ColoredVoxels(np.zeros((size,) * 3, bool), np.zeros((size,) * 3 + (3,)))
-  at = tuple(record.surface_index.T)
-  true.occupancy[at] = True
-  true.color[at] = record.surface_color / 255
-  views = record.views.astype(np.float32) / 255
-  probability = colors = None
-  if 'shape' in networks:
-    probability = reconstruct.estimate_shape(networks['shape'], views, grid_size=size)
-  if 'color' in networks:
-    options = {'alpha': alpha, 'grid_size': size}
-    colors = np.asarray(reconstruct.estimate_color(networks['color'], views, **options).blended)
-  baseline = means[dataset.manifest.models[row].category] if means else None
-  found = {'networks': {k: [] for k in METRICS}}
-  if baseline:
-    found['baselines'] = {k: [] for k in METRICS}
-  for view in range(len(views)):
-    occupied = true.occupancy
-    if probability is not None:
-      p = np.asarray(probability[view])
-      occupied = p >= reconstruct.OCCUPIED
-      found['networks']['iou'].append(float(metrics.iou(p > reconstruct.OCCUPIED, true.occupancy)))
-      if baseline:
-        found['baselines']['iou'].append(float(metrics.iou(baseline.occupancy, true.occupancy)))
-    if colors is not None:
-      partner = metrics.aligned_colors(occupied, true)
-      append_psnr(found['networks'], metrics.psnr(colors[view][occupied], partner))
-      if baseline:
-        constant = np.broadcast_to(baseline.color, partner.shape)
-        append_psnr(found['baselines'], metrics.psnr(constant, partner))
-  return found
-
-
-def append_psnr(found: dict[str, list[float]], psnr: metrics.SurfacePsnr) -> None:
-  """Appends a view's PSNRs, none above the ceiling; NaN stays NaN."""
-  found['psnr_rgb'].append(float(np.minimum(psnr.rgb, PSNR_CEILING)))
-  found['psnr_ycbcr'].append(float(np.minimum(psnr.ycbcr, PSNR_CEILING)))
-
-
 def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
   """The means, as they go to the JSON file; None where there is nothing to take a mean of."""
   azimuths = dataset.manifest.azimuths
-  categories = [dataset.manifest.models[row].category for row in rows]
+  models = [dataset.manifest.models[row] for row in rows]
   report = {'models': len(rows), 'views': len(azimuths)}
   for who in found[0]:
     table = {k: np.array([x[who][k] for x in found]) for k in METRICS}  # [models, V]
@@ -196,7 +166,8 @@ def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
       return {k: mean(v[models, views] if v.size else v) for k, v in table.items()}
 
     chosen = {
-      c: [n for n, own in enumerate(categories) if own == c] for c in sorted(set(categories))
+      c: [n for n, m in enumerate(models) if m.category == c]
+      for c in sorted({m.category for m in models})
     }
     by_category = {c: means(table, models=n) for c, n in chosen.items()}
     report[who] = {
@@ -207,6 +178,14 @@ def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
       'by_category': by_category,
       'by_view': {f'{a:g}': means(table, views=v) for v, a in enumerate(azimuths)},
       'views_without_voxels': int(np.isnan(table['psnr_rgb']).sum()),
+      'by_model': {
+        m.id: {
+          'category': m.category,
+          'source': m.source,
+          **{k: [None if np.isnan(x) else x for x in v[n]] for k, v in table.items()},
+        }
+        for n, m in enumerate(models)
+      },
     }
   return report
 
@@ -221,6 +200,8 @@ def mean(values: np.ndarray) -> float | None:
 def print_report(report: dict[str, Any]) -> None:
   """The tables."""
   print(f'{report["models"]} models of the split {report["split"]}, {report["views"]} views each')
+  if report['shape']:
+    print(f'occupied: what scores above {report["threshold"]:g}')
   if not report['shape']:
     print('no --shape: colours are judged on the true shapes')
   whose = [w for w in ('networks', 'baselines') if w in report]

@@ -17,7 +17,17 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import blending, checkpoint, environment, errors, export, figures, photo, reconstruct
+from cvn import (
+  blending,
+  checkpoint,
+  environment,
+  errors,
+  export,
+  figures,
+  metrics,
+  photo,
+  reconstruct,
+)
 from cvn.errors import UserError
 from cvn.files import atomic_write
 
@@ -39,7 +49,7 @@ def define_flags(f: flags.FlagValues) -> None:
   )
   flags.DEFINE_float(
     'threshold',
-    reconstruct.OCCUPIED,
+    metrics.OCCUPIED,
     'In (0, 1): the probability from which on a voxel is occupied.',
     **own,
   )

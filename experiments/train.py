@@ -1,6 +1,10 @@
 r"""Trains a network on a data set.
 
-python -m experiments.train --network=shape|color --recipe=paper|release --data=DIR --workdir=DIR
+python -m experiments.train --network=shape --recipe=paper --data=DIR --workdir=DIR
+
+The method of the paper is shape and color. The others are what it is compared with: regression and
+flow are the colour network without its other heads, joint is the unified network, r2n2 the adapted
+3D-R2N2.
 
 The same command goes on where the last one stopped, exactly; with more --epochs it goes further.
 Ctrl-C or SIGTERM saves first. WORKDIR holds config.json, checkpoints, log.jsonl and TensorBoard's
@@ -28,15 +32,17 @@ from cvn import (
   figures,
   grid,
   journal,
-  reconstruct,
+  losses,
+  methods,
   train,
 )
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
+from cvn.networks import NETWORKS
 from cvn.recipe import RECIPES, Recipe
 
 PICTURES = 4  # views drawn at each validation
-READERS = {'shape': data.read_shape, 'color': data.read_color}
+SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
 DTYPES = ('float32', 'mixed')
 HEADS = ('dense', 'surface')
 
@@ -44,8 +50,9 @@ HEADS = ('dense', 'surface')
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
-  flags.DEFINE_enum('network', None, sorted(READERS), 'Which of the two networks.', **own)
+  flags.DEFINE_enum('network', None, [*NETWORKS], 'Which network.', **own)
   flags.DEFINE_enum('recipe', 'paper', sorted(RECIPES), 'What to follow where they differ.', **own)
+  flags.DEFINE_enum('shape_loss', 'msfcel', [*SHAPE_LOSSES], 'Of --network=shape and joint.', **own)
   flags.DEFINE_enum(
     'dtype',
     'float32',
@@ -65,6 +72,8 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
   flags.DEFINE_string('workdir', None, "The run's folder.", **own)
   flags.DEFINE_list('category', [], 'Categories to train on; all of them by default.', **own)
+  flags.DEFINE_list('source', [], 'Sources of models to train on; all by default.', **own)
+  flags.DEFINE_list('validation_source', [], 'Sources of models to validate on; all.', **own)
   flags.DEFINE_integer('epochs', 500, 'Epochs in all.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipe's.", **own)
@@ -85,11 +94,12 @@ def main(_) -> int:
 
 def run(f: flags.FlagValues) -> int:
   """Trains as the flags say; returns the exit status."""
-  recipe, read = RECIPES[f.recipe], READERS[f.network]
+  recipe = RECIPES[f.recipe]._replace(shape_loss=SHAPE_LOSSES[f.shape_loss])
+  read = data.read_shape if f.network == 'shape' else data.read_color
   dataset = open_dataset(f.data)
   check_sizes(dataset)
   train_step = make_step(f, recipe)
-  rows = data.select_rows(dataset, 'train', f.category)
+  rows = data.select_rows(dataset, 'train', f.category, f.source)
   batches = data.training_batches(read, dataset, rows, batch_size=f.batch_size, seed=f.seed)
   validation = select_validation(f, dataset)
   checkpoint.start(f.workdir, make_config(f, dataset, len(rows)))
@@ -189,7 +199,7 @@ def check_sizes(dataset: Dataset) -> None:
 
 def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   """Pairs (row, view) [P, 2] of the split val, in whole batches where they fill one."""
-  rows = data.select_rows(dataset, 'val', f.category)
+  rows = data.select_rows(dataset, 'val', f.category, f.validation_source)
   views = len(dataset.manifest.azimuths)
   count = min(f.validation_views, len(rows) * views)
   if count > f.batch_size:
@@ -199,7 +209,10 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
 
 def make_config(f: flags.FlagValues, dataset: Dataset, models: int) -> dict:
   """All that a resumed run must share with the one it continues."""
-  names = ('network', 'recipe', 'dtype', 'heads', 'category', 'batch_size', 'learning_rate', 'seed')
+  names = (
+    *('network', 'recipe', 'shape_loss', 'dtype', 'heads', 'category', 'source'),
+    *('batch_size', 'learning_rate', 'seed'),
+  )
   return {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
 
 
@@ -245,19 +258,18 @@ def draw(kind: str, state, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
   truth = [data.read_color(dataset, *p, slots=slots) for p in pairs]
   images = np.stack([t.image for t in truth])
   variables = {'params': state.params, 'batch_stats': state.batch_stats}
-  if kind == 'shape':
-    predicted = np.asarray(reconstruct.estimate_shape(variables, images))
-  else:
-    predicted = np.asarray(reconstruct.estimate_color(variables, images).blended)
+  occupied = predicted = [None] * len(truth)
+  if kind in methods.SHAPE_KINDS:
+    occupied = methods.score(kind, variables, images) >= methods.THRESHOLDS[kind]
+  if kind in methods.COLOR_KINDS:
+    predicted = methods.colors(kind, variables, images)
   lines = []
-  for t, p, (_, view) in zip(truth, predicted, pairs, strict=True):
+  for t, shape, color, (_, view) in zip(truth, occupied, predicted, pairs, strict=True):
     right = to_voxels(t)
-    if kind == 'shape':
-      made = right._replace(
-        occupancy=p >= reconstruct.OCCUPIED, color=np.full_like(right.color, 0.7)
-      )
-    else:
-      made = right._replace(color=p)
+    made = grid.ColoredVoxels(
+      right.occupancy if shape is None else shape,
+      np.full_like(right.color, 0.7) if color is None else color,
+    )
     azimuth = dataset.manifest.azimuths[view]
     drawn = [figures.draw_voxels(v, azimuth) for v in (made, right)]
     lines.append([figures.to_uint8(t.image), *drawn])

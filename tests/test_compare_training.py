@@ -23,15 +23,14 @@ def commands(monkeypatch):
   """What would be run; it leaves the files that the real programs leave."""
   ran = []
 
-  def run_program(arguments, output):
-    del output
-    named = dict(a[2:].split('=', 1) for a in arguments[1:])
-    ran.append((arguments[0], named))
-    if arguments[0] == 'experiments.train':
+  def run_program(folder, name, **named):
+    del folder
+    ran.append((name, named))
+    if name == 'experiments.train':
       loss = 0.5 if named.get('dtype') == 'mixed' else 0.25
       os.makedirs(os.path.join(named['workdir'], 'checkpoints'), exist_ok=True)
       with open(os.path.join(named['workdir'], 'log.jsonl'), 'w') as f:
-        for epoch in range(1, int(named['epochs']) + 1):
+        for epoch in range(1, named['epochs'] + 1):
           f.write(json.dumps({'step': epoch, 'epoch': epoch, 'loss': loss / epoch}) + '\n')
         f.write(json.dumps({'step': epoch, 'epoch': epoch, 'validation': {'loss': 0.75}}) + '\n')
     else:
@@ -53,7 +52,7 @@ def test_trains_each_network_in_each_way_from_the_same_seed(tmp_path, commands, 
     ('color', 'mixed', None),
     ('color', None, 'surface'),
   ]
-  assert {(t['seed'], t['epochs'], t['data']) for t in trained} == {('3', '2', 'D')}
+  assert {(t['seed'], t['epochs'], t['data']) for t in trained} == {('3', 2, 'D')}
   assert len({t['workdir'] for t in trained}) == 5
   told = capsys.readouterr().out
   assert '| shape | mixed | 3 | 0.2500 | 0.7500 | IoU 0.125 |' in told
@@ -77,4 +76,4 @@ def test_what_is_evaluated_is_not_evaluated_again_until_it_is_trained_further(tm
 
 def test_quick_is_one_epoch(tmp_path, commands):
   program.run(parse('--data=D', f'--workdir={tmp_path}', '--quick', '--network=color'))
-  assert {named['epochs'] for name, named in commands if name == 'experiments.train'} == {'1'}
+  assert {named['epochs'] for name, named in commands if name == 'experiments.train'} == {1}

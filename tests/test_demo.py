@@ -91,21 +91,6 @@ def test_page_sets_the_best_in_bold_and_marks_failure():
   assert 'class="verdict bad"' in _page(success=False)
 
 
-def test_running_a_program_adds_up_its_seconds(tmp_path, capfd):
-  output = str(tmp_path / 'new')
-  demo.run_program(['calendar', '2000'], output)
-  assert capfd.readouterr().out.startswith('\n$ python -m calendar 2000\n')
-  (line, first), *_ = demo.read_json(demo.seconds_file(output)).items()
-  assert line == 'python -m calendar 2000' and first > 0
-  demo.run_program(['calendar', '2000'], output)
-  assert demo.read_json(demo.seconds_file(output))[line] > first
-
-
-def test_a_failing_program_ends_the_demonstration(tmp_path):
-  with pytest.raises(UserError, match='no_such_module ended with status 1'):
-    demo.run_program(['no_such_module'], str(tmp_path))
-
-
 def test_curves_come_from_the_log(tmp_path):
   path = tmp_path / 'log.jsonl'
   lines = [

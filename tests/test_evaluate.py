@@ -17,6 +17,7 @@ from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import evaluate as program
+from experiments import scoring
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 
@@ -128,7 +129,7 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     assert found['views_without_voxels'] == 0
   lines = capsys.readouterr().out.splitlines()
   assert lines[0] == '3 models of the split test, 3 views each'
-  assert [line.split()[0] for line in lines[2:9]] == [
+  assert [line.split()[0] for line in lines[3:10]] == [
     'all',
     'by',
     'ball',
@@ -137,7 +138,7 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     '90°',
     '200°',
   ]
-  cells = lines[2].split()[1:]
+  cells = lines[3].split()[1:]
   assert cells[0] == f'{scores[0].mean():.3f}' and cells[1] == f'{beaten[0].mean():.3f}'
 
 
@@ -235,7 +236,7 @@ def test_program_ends_in_one_line():
 def test_no_view_counts_for_more_than_rounding_allows():
   found = {'psnr_rgb': [], 'psnr_ycbcr': []}
   for rgb, ycbcr in ((20.0, 25.0), (np.inf, 177.0), (np.nan, np.nan)):
-    program.append_psnr(found, metrics.SurfacePsnr(rgb, ycbcr))
+    scoring.append_psnr(found, metrics.SurfacePsnr(rgb, ycbcr))
   ceiling = -10 * np.log10(1 / 12 / 255**2)
   np.testing.assert_allclose(found['psnr_rgb'], [20, ceiling, np.nan])
   np.testing.assert_allclose(found['psnr_ycbcr'], [25, ceiling, np.nan])

@@ -5,7 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cvn.networks import AdaptedR2N2, ColorNetwork, ColorVolumes, JointNetwork, ShapeNetwork
+from cvn.networks import (
+  NETWORKS,
+  AdaptedR2N2,
+  ColorNetwork,
+  ColorVolumes,
+  FlowNetwork,
+  JointNetwork,
+  RegressionNetwork,
+  ShapeNetwork,
+)
 
 SMALL = {'image_size': 64, 'grid_size': 32}
 
@@ -22,12 +31,12 @@ def test_shape_network_has_the_published_number_of_parameters():
   assert parameter_count(ShapeNetwork()) == 7_668_115
 
 
-@pytest.mark.parametrize('network', [ColorNetwork(), JointNetwork(), AdaptedR2N2()])
+@pytest.mark.parametrize('network', NETWORKS.values())
 def test_about_seven_million_parameters(network):
-  assert 7e6 < parameter_count(network) < 8e6
+  assert 7e6 < parameter_count(network()) < 8e6
 
 
-@pytest.mark.parametrize('network', [ShapeNetwork, ColorNetwork, JointNetwork, AdaptedR2N2])
+@pytest.mark.parametrize('network', NETWORKS.values())
 def test_outputs(network):
   network = network(**SMALL)
   image = jax.random.uniform(jax.random.key(1), (2, 64, 64, 3))
@@ -39,6 +48,8 @@ def test_outputs(network):
     ShapeNetwork: 1,
     ColorNetwork: ColorVolumes(3, 2, 1),
     JointNetwork: (1, ColorVolumes(3, 2, 1)),
+    RegressionNetwork: 3,
+    FlowNetwork: 2,
     AdaptedR2N2: 3,
   }[type(network)]
   assert jax.tree.map(lambda x: x.shape, out) == jax.tree.map(

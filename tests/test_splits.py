@@ -3,7 +3,7 @@ import collections
 import pytest
 
 from cvn.errors import UserError
-from datagen.splits import read_splits, split_of
+from datagen.splits import ranked_splits, read_splits, split_of, write_splits
 
 
 def test_fractions():
@@ -54,3 +54,31 @@ def test_an_id_in_two_lists(tmp_path):
   (tmp_path / 'val_list_chair.txt').write_text('abc')
   with pytest.raises(UserError, match='abc'):
     read_splits(str(tmp_path), 'chair')
+
+
+def test_ranked_splits_give_each_split_its_share_and_keep_families_together():
+  families = {f'm{n}': f'family{n // 2}' for n in range(40)}
+  splits = ranked_splits(families)
+  counts = collections.Counter(splits.values())
+  assert counts == {'train': 28, 'val': 4, 'test': 8}
+  assert all(splits[f'm{n}'] == splits[f'm{n + 1}'] for n in range(0, 40, 2))
+  assert ranked_splits(dict(reversed(families.items()))) == splits
+
+
+@pytest.mark.parametrize(
+  ('models', 'counts'),
+  [
+    (1, {'test': 1}),
+    (2, {'test': 1, 'val': 1}),
+    (13, {'test': 3, 'val': 2, 'train': 8}),
+  ],
+)
+def test_small_collections_are_for_testing_first(models, counts):
+  splits = ranked_splits({str(n): str(n) for n in range(models)})
+  assert collections.Counter(splits.values()) == counts
+
+
+def test_lists_that_are_written_are_read(tmp_path):
+  splits = {'a': 'train', 'b': 'test', 'c': 'train'}
+  write_splits(str(tmp_path / 'lists'), 'chair', splits)
+  assert read_splits(str(tmp_path / 'lists'), 'chair') == splits

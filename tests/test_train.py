@@ -33,8 +33,11 @@ def make_batch(seed=0, size=2):
   )
 
 
-@pytest.mark.parametrize('mixed', [False, True])
-@pytest.mark.parametrize('kind', ['shape', 'color'])
+@pytest.mark.parametrize(
+  ('kind', 'mixed'),
+  [('shape', False), ('shape', True), ('color', False), ('color', True)]
+  + [('regression', True), ('flow', True), ('joint', True), ('r2n2', True)],
+)
 def test_a_few_steps_lower_the_loss_with_one_trace(kind, mixed):
   step = make_step(kind, PAPER, mixed=mixed)
   state = train.create_state(jax.random.key(0), kind)

@@ -416,10 +416,10 @@ def test_pictures_of_a_perfect_network_show_the_truth(made, monkeypatch, kind):
   pairs = data.evaluation_pairs([0, 4], 2)[1:3]
   slots = data.surface_slots(dataset)
   truth = [program.to_voxels(data.read_color(dataset, *p, slots=slots)) for p in pairs]
-  perfect = program.reconstruct.ColorEstimate(*[None] * 4, np.stack([t.color for t in truth]))
-  monkeypatch.setattr(program.reconstruct, 'estimate_color', lambda *_: perfect)
+  colors = np.stack([t.color for t in truth])
+  monkeypatch.setattr(program.methods, 'colors', lambda *_: colors)
   probability = np.stack([t.occupancy for t in truth]).astype(np.float32)
-  monkeypatch.setattr(program.reconstruct, 'estimate_shape', lambda *_: probability)
+  monkeypatch.setattr(program.methods, 'score', lambda *_: probability)
   rows = []
   monkeypatch.setattr(program.figures, 'grid_of_images', lambda r, **_: rows.extend(r))
   DRAW(kind, create_state(jax.random.key(0), kind), dataset, pairs)

@@ -89,7 +89,7 @@ def list_models(
         category=name,
         path=path,
         detail=piece,
-        split=split_of(_family(piece.model)),
+        split=split_of(family(piece.model)),
         licence=piece.licence,
         creator=piece.creator,
       )
@@ -193,7 +193,7 @@ def _catalogues(path):
   return found
 
 
-def _family(model):
+def family(model):
   """What variants of a model have in common: of the words of each name in its path, the first two.
 
   'wooden_office_pear_table/table.obj' and 'wooden_office_teak_table/table.obj' are of one family.

@@ -1,0 +1,219 @@
+// What happens to a row of a volume, [z][channels], on its way between memory and a product: batch
+// normalisation and the activation after it, and their derivatives.
+//
+// A volume is kept as the product before it left it. Its next reader takes f(gain x + offset),
+// by channel. Vectors of channels are repeated over a row, so that a row is one run of floats.
+
+#ifndef CVN_ROWS_H_
+#define CVN_ROWS_H_
+
+#include "common.h"
+
+namespace cvn {
+
+enum Activation : int64_t { kIdentity = 0, kElu = 1, kSigmoid = 2 };
+
+// e^x to two units in the last place: 2^n e^r, |r| <= ln(2) / 2, and Taylor's polynomial.
+CVN_INLINE Vec Exp(Vec x) {
+  x = Select(x < -87.0f, Vec{} - 87.0f, x);
+  x = Select(x > 88.0f, Vec{} + 88.0f, x);
+  const float kShift = 12582912.0f;  // 1.5 2^23: adding it rounds to a whole number
+  const Vec shifted = x * 1.44269504f + kShift;
+  const Vec n = shifted - kShift;
+  const Vec r = x - n * 0.693359375f + n * 2.12194440e-4f;
+  Vec p = r * (1.0f / 5040) + 1.0f / 720;
+  p = p * r + 1.0f / 120;
+  p = p * r + 1.0f / 24;
+  p = p * r + 1.0f / 6;
+  p = p * r + 0.5f;
+  p = p * (r * r) + r + 1.0f;
+  const Ints power = reinterpret_cast<Ints>(shifted) << 23;  // n in the lowest bits
+  return reinterpret_cast<Vec>(reinterpret_cast<Ints>(p) + power);
+}
+
+// Value and slope of an activation.
+template <Activation kActivation>
+CVN_INLINE void Activate(Vec v, Vec* value, Vec* slope) {
+  const Vec one = Vec{} + 1.0f;
+  if constexpr (kActivation == kElu) {
+    const Vec e = Exp(Select(v > 0.0f, Vec{}, v));
+    *value = Select(v > 0.0f, v, e - one);
+    *slope = e;  // 1 above 0
+  } else if constexpr (kActivation == kSigmoid) {
+    *value = one / (one + Exp(-v));
+    *slope = *value * (one - *value);
+  } else {
+    *value = v;
+    *slope = one;
+  }
+}
+
+template <typename F>
+CVN_INLINE void WithActivation(int64_t activation, const F& f) {
+  switch (activation) {
+    case kElu: return f(std::integral_constant<Activation, kElu>());
+    case kSigmoid: return f(std::integral_constant<Activation, kSigmoid>());
+    default: return f(std::integral_constant<Activation, kIdentity>());
+  }
+}
+
+// A value for each channel, over a row of n floats.
+inline Scratch<float> Repeat(const float* values, int64_t channels, int64_t n) {
+  Scratch<float> repeated(n);
+  for (int64_t i = 0; i < n; ++i) repeated[i] = values[i % channels];
+  return repeated;
+}
+
+// A volume [..., z, channels] as its reader takes it.
+template <typename T>
+class Source {
+ public:
+  Source(const T* x, const float* gain, const float* offset, int64_t activation, int64_t z,
+         int64_t channels)
+      : size(z * channels),
+        padded(RoundUp(size, kLanes)),
+        z(z),
+        channels(channels),
+        x_(x),
+        gain_(Repeat(gain, channels, size)),
+        offset_(Repeat(offset, channels, size)),
+        activation_(activation) {}
+
+  // f(gain x + offset) of a row.
+  void Row(int64_t row, float* to) const {
+    const T* x = x_ + row * size;
+    const float *gain = gain_.data(), *offset = offset_.data();
+    WithActivation(activation_, [&](auto kind) {
+      for (int64_t i = 0; i < size; i += kLanes) {
+        PrefetchAfter(x + i);
+        Vec value, slope;
+        const Vec v = LoadSome(x + i, size - i);
+        Activate<kind>(v * Load(gain + i) + Load(offset + i), &value, &slope);
+        Store(to + i, value);
+      }
+    });
+  }
+
+  // The same, [z][padded] numbers of another type.
+  template <typename To>
+  void Row(int64_t row, int64_t padded, float* scratch, To* to) const {
+    if (std::is_same_v<To, float> && padded == channels && size % kLanes == 0) {
+      return Row(row, reinterpret_cast<float*>(to));
+    }
+    Row(row, scratch);
+    Pad(scratch, z, channels, padded, to);
+  }
+
+  // The gradient with respect to x, dx = gain dz, for dz = da f'(gain x + offset); `sums`
+  // [2][padded] get dz and dz x added. `value`, where it is not null, gets f(gain x + offset).
+  void Gradient(int64_t row, const float* da, float* sums, T* dx, float* value_to) const {
+    const T* x = x_ + row * size;
+    const float *gain = gain_.data(), *offset = offset_.data();
+    dx += row * size;
+    WithActivation(activation_, [&](auto kind) {
+      for (int64_t i = 0; i < size; i += kLanes) {
+        PrefetchAfter(x + i);
+        const Vec v = LoadSome(x + i, size - i), g = Load(gain + i);
+        Vec value, slope;
+        Activate<kind>(v * g + Load(offset + i), &value, &slope);
+        const Vec dz = Load(da + i) * slope;
+        Store(sums + i, Load(sums + i) + dz);
+        Store(sums + padded + i, Load(sums + padded + i) + dz * v);
+        StoreSome(dx + i, dz * g, size - i);
+        if (value_to) Store(value_to + i, value);
+      }
+    });
+  }
+
+  const int64_t size, padded;  // floats of a row, and those of its vectors
+
+ private:
+  const int64_t z, channels;
+  const T* x_;
+  const Scratch<float> gain_, offset_;
+  const int64_t activation_;
+};
+
+// The whole gradient with respect to a product's result y: what came back for it, dy, and for the
+// sums of y and y^2 over all places, by channel.
+template <typename T>
+class Cotangent {
+ public:
+  Cotangent(const T* y, const T* dy, const float* dsums, int64_t z, int64_t channels)
+      : size(z * channels),
+        y_(y),
+        dy_(dy),
+        first_(Repeat(dsums, channels, size)),
+        second_(Repeat(dsums + channels, channels, size)) {
+    for (int64_t i = 0; i < size; ++i) second_[i] *= 2;
+  }
+
+  void Row(int64_t row, float* to) const {
+    const T *y = y_ + row * size, *dy = dy_ + row * size;
+    const float *first = first_.data(), *second = second_.data();
+    for (int64_t i = 0; i < size; i += kLanes) {
+      PrefetchAfter(y + i);
+      PrefetchAfter(dy + i);
+      const int64_t n = size - i;
+      Store(to + i, LoadSome(dy + i, n) + Load(first + i) + Load(second + i) * LoadSome(y + i, n));
+    }
+  }
+
+  const int64_t size;  // floats of a row
+
+ private:
+  const T *y_, *dy_;
+  Scratch<float> first_, second_;
+};
+
+// Sums of numbers and of their squares, or of two kinds of numbers, by channel; in double over rows.
+class Sums {
+ public:
+  explicit Sums(int64_t channels) : channels_(channels), total_(2 * channels) {}
+
+  // Numbers and squares of [rows][padded].
+  void AddRow(const float* row, int64_t padded, int64_t rows) {
+    for (int64_t c = 0; c < channels_; c += kLanes) {
+      Vec first = {}, second = {};
+      for (int64_t i = 0; i < rows; ++i) {
+        const Vec v = Load(row + i * padded + c);
+        first += v;
+        second += v * v;
+      }
+      for (int64_t l = 0; l < std::min(kLanes, channels_ - c); ++l) {
+        total_[c + l] += first[l];
+        total_[channels_ + c + l] += second[l];
+      }
+    }
+  }
+
+  // The first `size` of each of [2][padded], which become zero.
+  void AddTwo(float* sums, int64_t size, int64_t padded) {
+    for (int64_t i = 0; i < size; ++i) {
+      total_[i % channels_] += sums[i];
+      total_[channels_ + i % channels_] += sums[padded + i];
+    }
+    std::fill(sums, sums + 2 * padded, 0.0f);
+  }
+
+  const double* data() const { return total_.data(); }
+
+ private:
+  const int64_t channels_;
+  Scratch<double> total_;
+};
+
+// Adds up [samples][parts][n] over the parts.
+inline void AddParts(const double* parts, int64_t samples, int64_t count, int64_t n, float* to) {
+  for (int64_t sample = 0; sample < samples; ++sample) {
+    for (int64_t i = 0; i < n; ++i) {
+      double sum = 0;
+      for (int64_t p = 0; p < count; ++p) sum += parts[(sample * count + p) * n + i];
+      to[sample * n + i] = static_cast<float>(sum);
+    }
+  }
+}
+
+}  // namespace cvn
+
+#endif  // CVN_ROWS_H_

@@ -1,0 +1,71 @@
+"""What a trained network of any kind says of views: how occupied voxels are, and their colours.
+
+`kind` is a key of `networks.NETWORKS`. Views are [V, H, W, 4 or 3], as in cvn.reconstruct; all
+results are numpy arrays.
+"""
+
+import jax
+import numpy as np
+
+from cvn import blending, metrics, reconstruct
+from cvn.grid import GRID_SIZE
+
+# From which score on a voxel is occupied, unless a threshold was chosen on a validation split; for
+# the joint volume half way between empty, -0.5, and black, 0.
+THRESHOLDS = {'shape': metrics.OCCUPIED, 'joint': metrics.OCCUPIED, 'r2n2': -0.25}
+SHAPE_KINDS = (*THRESHOLDS,)
+COLOR_KINDS = ('color', 'regression', 'flow', 'joint', 'r2n2')
+
+
+def score(kind: str, variables, views: jax.Array, *, grid_size: int = GRID_SIZE) -> np.ndarray:
+  """How occupied voxels are [V, X, Y, Z]: occupied is what lies above a threshold.
+
+  A probability or, of the joint baseline's volume, the lowest channel: it is above a threshold
+  where all channels are.
+
+  Args:
+    kind: one of `SHAPE_KINDS`.
+    variables: of the network.
+    views: [V, H, W, 4 or 3].
+    grid_size: of the network.
+  """
+  if kind == 'shape':
+    found = reconstruct.estimate_shape(variables, views, grid_size=grid_size)
+  elif kind == 'joint':
+    found = reconstruct.estimate_joint(variables, views, grid_size=grid_size).probability
+  else:
+    found = reconstruct.estimate_r2n2(variables, views, grid_size=grid_size).min(-1)
+  return np.asarray(found)
+
+
+def colors(
+  kind: str,
+  variables,
+  views: jax.Array,
+  *,
+  alpha: float = blending.ALPHA,
+  threshold: float = THRESHOLDS['r2n2'],
+  grid_size: int = GRID_SIZE,
+) -> np.ndarray:
+  """The colours of all voxels [V, X, Y, Z, 3] in [0, 1].
+
+  Args:
+    kind: one of `COLOR_KINDS`.
+    variables: of the network.
+    views: [V, H, W, 4 or 3].
+    alpha: in (0, 1], of networks that blend (section 3.5).
+    threshold: of the joint baseline, whose colours depend on it (equation 9).
+    grid_size: of the network.
+  """
+  if kind == 'color':
+    found = reconstruct.estimate_color(variables, views, alpha=alpha, grid_size=grid_size).blended
+  elif kind == 'joint':
+    found = reconstruct.estimate_joint(variables, views, alpha=alpha, grid_size=grid_size).blended
+  elif kind == 'regression':
+    found = reconstruct.estimate_regression(variables, views, grid_size=grid_size)
+  elif kind == 'flow':
+    found = reconstruct.estimate_flow(variables, views, grid_size=grid_size)[1]
+  else:
+    volume = reconstruct.estimate_r2n2(variables, views, grid_size=grid_size)
+    found = blending.adjust_color(volume, threshold)[1]
+  return np.asarray(found)

@@ -1,0 +1,205 @@
+"""The paper's methods as trainings and evaluations, for the programs of its tables and figures.
+
+Everything lies below --workdir and is reused by all programs that need it:
+
+  runs/<training>_<category or 'all'>_<seed>                    what experiments.train writes
+  scores/<method>_<category or 'all'>_<seed>[_<source>]_<split>[_val].json
+                                                                what experiments.evaluate writes
+
+The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60. --quick
+trains one epoch, to see whether all works.
+"""
+
+import os
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from absl import flags
+
+from cvn import blending, checkpoint
+from cvn.dataset import open_dataset
+from cvn.errors import UserError
+from experiments.stages import read_json, run_program
+from experiments.train import DTYPES
+
+ALL = 'all'  # in the place of a category: one model for all of them
+PAPER_CATEGORIES = ('car', 'table', 'chair', 'guitar')  # in the order of the paper's tables
+VALIDATIONS = 6  # in the course of a training
+VALIDATION_VIEWS = 60
+
+# The flags of experiments.train that make the paper's networks, and each recipe's.
+TRAININGS: dict[str, dict[str, str]] = {
+  'r2n2': {'network': 'r2n2'},
+  'cross_entropy': {'network': 'shape', 'shape_loss': 'cross_entropy'},
+  'msfcel': {'network': 'shape'},
+  'regression': {'network': 'regression'},
+  'flow': {'network': 'flow'},
+  'blended': {'network': 'color'},
+  'unified': {'network': 'joint'},
+  'msfcel_release': {'network': 'shape', 'recipe': 'release'},
+  'blended_release': {'network': 'color', 'recipe': 'release'},
+}
+
+
+class Method(NamedTuple):
+  """What makes coloured voxels of a view."""
+
+  title: str
+  shape: str  # the training whose network gives shapes
+  color: str  # likewise colours; '' for methods of shapes alone
+  alpha: float = blending.ALPHA
+  threshold: str = ''  # of experiments.evaluate; '' for its default
+
+
+METHODS = {
+  'r2n2': Method('Adapted R2N2', 'r2n2', 'r2n2', threshold='val'),
+  'cross_entropy': Method('Ours (cross-entropy)', 'cross_entropy', ''),
+  'msfcel': Method('Ours (MSFCEL)', 'msfcel', ''),
+  'msfcel_release': Method("Ours (MSFCEL), authors' recipe", 'msfcel_release', ''),
+  'regression': Method('Our baseline (clr. reg.)', 'msfcel', 'regression'),
+  'flow': Method('Our baseline (flw.)', 'msfcel', 'flow'),
+  **{
+    f'blended_{a:g}': Method(f'Ours (α = {a:g})', 'msfcel', 'blended', a)
+    for a in (0.2, 0.4, 0.6, 0.8, 1.0)
+  },
+  'blended_release': Method("Ours (α = 0.2), authors' recipe", 'msfcel_release', 'blended_release'),
+  'unified': Method('Unified network', 'unified', 'unified'),
+}
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The flags that the programs of tables and figures share."""
+  own = {'flag_values': f}
+  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'The folder of all trainings and results.', **own)
+  flags.DEFINE_bool('quick', False, 'One epoch: whether it works, not how well.', **own)
+  flags.DEFINE_list('category', [], "Categories; all of the data set's by default.", **own)
+  flags.DEFINE_enum(
+    'models',
+    'category',
+    ('category', ALL),
+    'Train a model for each category, as the paper does, or one for all categories.',
+    **own,
+  )
+  flags.DEFINE_list('seeds', ['0'], 'Of everything random; one training each.', **own)
+  flags.DEFINE_list('train_source', [], 'Sources of models to train on; all by default.', **own)
+  flags.DEFINE_list(
+    'source', [], 'Sources of models to validate and test on; all by default.', **own
+  )
+  flags.DEFINE_integer('epochs', 500, 'Of each training.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
+  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
+  flags.mark_flags_as_required(['data', 'workdir'], f)
+
+
+def categories(f: flags.FlagValues) -> list[str]:
+  """The categories that the flags name or, without any, the data set's, the paper's first.
+
+  Raises:
+    UserError: the data set has no such category.
+  """
+  known = {m.category for m in open_dataset(f.data).manifest.models}
+  for name in f.category:
+    if name not in known:
+      raise UserError(f'{f.data} has no category {name!r}; it has {", ".join(sorted(known))}')
+  wanted = f.category or [*PAPER_CATEGORIES, *sorted(known.difference(PAPER_CATEGORIES))]
+  return [c for c in wanted if c in known]
+
+
+def train(f: flags.FlagValues, training: str, category: str, seed: str) -> str:
+  """Trains a network, or what is missing of it; returns its folder.
+
+  Args:
+    f: the shared flags.
+    training: a key of `TRAININGS`.
+    category: or `ALL`.
+    seed: of everything random.
+  """
+  workdir = os.path.join(f.workdir, 'runs', f'{training}_{category}_{seed}')
+  epochs = 1 if f.quick else f.epochs
+  if _epochs_done(workdir) >= epochs:
+    return workdir
+  named: dict[str, Any] = {
+    **TRAININGS[training],
+    'data': f.data,
+    'workdir': workdir,
+    'category': ','.join(f.category) if category == ALL else category,
+    'source': ','.join(f.train_source),
+    'validation_source': ','.join(f.source),
+    'epochs': epochs,
+    'batch_size': f.batch_size,
+    'seed': seed,
+    'dtype': f.dtype,
+    'validate_every': max(1, epochs // VALIDATIONS),
+    'validation_views': VALIDATION_VIEWS,
+  }
+  if f.learning_rate is not None:
+    named['learning_rate'] = f.learning_rate
+  run_program(f.workdir, 'experiments.train', **named)
+  return workdir
+
+
+def evaluate(
+  f: flags.FlagValues,
+  method: str,
+  category: str,
+  seed: str,
+  *,
+  split: str = 'test',
+  threshold: str = '',
+) -> dict[str, Any]:
+  """Evaluates a method on held-out models, training what it needs.
+
+  Args:
+    f: the shared flags.
+    method: a key of `METHODS`.
+    category: of the models it was trained on and is judged by, or `ALL`.
+    seed: of everything random.
+    split: to judge it on.
+    threshold: 'val' to choose the threshold of occupancy on the split val; '' for the method's own.
+
+  Returns:
+    The report that experiments.evaluate writes.
+  """
+  own = METHODS[method]
+  threshold = threshold or own.threshold
+  workdirs = {'shape': train(f, own.shape, category, seed)}
+  if own.color:
+    workdirs['color'] = train(f, own.color, category, seed)
+  name = '_'.join(filter(None, [method, category, seed, *f.source, split, threshold]))
+  report = os.path.join(f.workdir, 'scores', f'{name}.json')
+  asked = {
+    'data': f.data,
+    'split': split,
+    'category': ','.join(f.category) if category == ALL else category,
+    'source': ','.join(f.source),
+    'alpha': own.alpha,
+    **({'threshold': threshold} if threshold else {}),
+    **workdirs,
+  }
+  if not _is_newer(report, workdirs.values()):
+    run_program(f.workdir, 'experiments.evaluate', json=report, **asked)
+  return read_json(report)
+
+
+def trained_for(f: flags.FlagValues, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:
+  """Pairs (what a model is trained on, the categories it is judged by)."""
+  return [(ALL, [*wanted])] if f.models == ALL else [(c, [c]) for c in wanted]
+
+
+def _epochs_done(workdir):
+  """The epoch of the newest checkpoint."""
+  step = checkpoint.latest_step(workdir)
+  if not step:
+    return 0
+  config = checkpoint.read_config(workdir)
+  return step / (config['models'] // config['batch_size'])
+
+
+def _is_newer(report, workdirs):
+  """Whether a report was written after the networks it judges."""
+  if not os.path.exists(report):
+    return False
+  trained = max(os.path.getmtime(os.path.join(w, 'checkpoints')) for w in workdirs)
+  return os.path.getmtime(report) >= trained

@@ -1,0 +1,56 @@
+"""Every kind of network says something of a view, and the joint baseline by its own rules."""
+
+import jax
+import numpy as np
+import pytest
+
+from cvn import blending, methods, networks, reconstruct
+
+IMAGE, GRID = 64, 32
+
+
+@pytest.fixture(scope='module')
+def views():
+  rng = np.random.default_rng(0)
+  rgba = rng.random((2, IMAGE, IMAGE, 4), np.float32)
+  rgba[..., 3] = rgba[..., 3] > 0.5
+  return rgba
+
+
+def make_variables(kind):
+  network = networks.NETWORKS[kind](IMAGE, GRID)
+  image = np.zeros((1, IMAGE, IMAGE, 3), np.float32)
+  return jax.jit(lambda k: network.init(k, image, train=False))(jax.random.key(0))
+
+
+@pytest.mark.parametrize('kind', ['regression', 'flow', 'r2n2', 'joint'])
+def test_colors_of_every_voxel(kind, views):
+  found = methods.colors(kind, make_variables(kind), views, grid_size=GRID)
+  assert found.shape == (2, GRID, GRID, GRID, 3)
+  assert found.min() >= 0 and found.max() <= 1
+  if kind == 'flow':  # all colours are pixels of the object
+    for color, view in zip(found, views, strict=True):
+      pixels = {tuple(p) for p in view[view[..., 3] == 1][:, :3]}
+      assert {tuple(c) for c in color.reshape(-1, 3)} <= pixels
+
+
+def test_the_unified_network_answers_both(views):
+  variables = make_variables('joint')
+  both = reconstruct.estimate_joint(variables, views, grid_size=GRID)
+  score = methods.score('joint', variables, views, grid_size=GRID)
+  np.testing.assert_array_equal(score, both.probability)
+  color = methods.colors('joint', variables, views, alpha=0.5, grid_size=GRID)
+  weight = blending.recalculate_weight(both.weight, 0.5)[..., None]
+  np.testing.assert_allclose(color, blending.blend(both.sampled, both.regressed, weight), atol=1e-6)
+
+
+def test_the_joint_baseline_has_one_threshold_for_shape_and_color(views):
+  variables = make_variables('r2n2')
+  score = methods.score('r2n2', variables, views, grid_size=GRID)
+  volume = reconstruct.estimate_r2n2(variables, views, grid_size=GRID)
+  threshold = float(np.quantile(score, 0.9))
+  occupied, color = blending.adjust_color(volume, threshold)
+  np.testing.assert_array_equal(score > threshold, occupied)
+  np.testing.assert_array_equal(
+    methods.colors('r2n2', variables, views, threshold=threshold, grid_size=GRID), color
+  )
