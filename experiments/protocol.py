@@ -11,14 +11,17 @@ trains one epoch, to see whether all works.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from absl import flags
 
-from cvn import blending, checkpoint
+from cvn import blending, checkpoint, methods
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
+from cvn.grid import ColoredVoxels
+from experiments import scoring
 from experiments.stages import read_json, run_program
 from experiments.train import DTYPES
 
@@ -48,7 +51,7 @@ class Method(NamedTuple):
   shape: str  # the training whose network gives shapes
   color: str  # likewise colours; '' for methods of shapes alone
   alpha: float = blending.ALPHA
-  threshold: str = ''  # of experiments.evaluate; '' for its default
+  threshold: str = 'paper'  # or 'val', where the paper's program has none
 
 
 METHODS = {
@@ -90,6 +93,14 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
   flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
+  flags.DEFINE_enum(
+    'threshold',
+    'paper',
+    ('paper', 'val'),
+    'From which score on a voxel is occupied: what the program of the paper has, 0.8 (of the'
+    ' adapted R2N2 always as chosen on the split val), or chosen on the split val for all.',
+    **own,
+  )
   flags.mark_flags_as_required(['data', 'workdir'], f)
 
 
@@ -147,7 +158,7 @@ def evaluate(
   seed: str,
   *,
   split: str = 'test',
-  threshold: str = '',
+  threshold: str | None = None,
 ) -> dict[str, Any]:
   """Evaluates a method on held-out models, training what it needs.
 
@@ -157,17 +168,17 @@ def evaluate(
     category: of the models it was trained on and is judged by, or `ALL`.
     seed: of everything random.
     split: to judge it on.
-    threshold: 'val' to choose the threshold of occupancy on the split val; '' for the method's own.
+    threshold: 'paper' or 'val', instead of what --threshold says.
 
   Returns:
     The report that experiments.evaluate writes.
   """
   own = METHODS[method]
-  threshold = threshold or own.threshold
+  chosen = 'val' in (own.threshold, threshold or f.threshold)
   workdirs = {'shape': train(f, own.shape, category, seed)}
   if own.color:
     workdirs['color'] = train(f, own.color, category, seed)
-  name = '_'.join(filter(None, [method, category, seed, *f.source, split, threshold]))
+  name = '_'.join([method, category, seed, *f.source, split, *(['val'] if chosen else [])])
   report = os.path.join(f.workdir, 'scores', f'{name}.json')
   asked = {
     'data': f.data,
@@ -175,12 +186,40 @@ def evaluate(
     'category': ','.join(f.category) if category == ALL else category,
     'source': ','.join(f.source),
     'alpha': own.alpha,
-    **({'threshold': threshold} if threshold else {}),
+    **({'threshold': 'val'} if chosen else {}),
     **workdirs,
   }
   if not _is_newer(report, workdirs.values()):
     run_program(f.workdir, 'experiments.evaluate', json=report, **asked)
   return read_json(report)
+
+
+def make_predictor(
+  f: flags.FlagValues, method: str, category: str, seed: str
+) -> Callable[[np.ndarray], list[ColoredVoxels]]:
+  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+
+  Arguments as of `evaluate`; the method must give colours. Trains and evaluates what it needs.
+  """
+  own = METHODS[method]
+  dataset = open_dataset(f.data)
+  threshold = evaluate(f, method, category, seed)['threshold']
+  size = dataset.manifest.grid_size
+  shape, color = (
+    scoring.load(train(f, training, category, seed), kinds, dataset)
+    for training, kinds in (
+      (own.shape, methods.SHAPE_KINDS),
+      (own.color, methods.COLOR_KINDS),
+    )
+  )
+
+  def predict(views):
+    scores = methods.score(shape.kind, shape.variables, views, grid_size=size)
+    options = {'alpha': own.alpha, 'threshold': threshold, 'grid_size': size}
+    colors = methods.colors(color.kind, color.variables, views, **options)
+    return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
+
+  return predict
 
 
 def trained_for(f: flags.FlagValues, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:

@@ -16,6 +16,14 @@ struct Volume {
   int64_t cin, cout;
 };
 
+// Weights as a volume of T needs them.
+template <typename T>
+Scratch<float> RoundedWeights(const float* w, int64_t n) {
+  Scratch<float> rounded(n);
+  for (int64_t i = 0; i < n; ++i) rounded[i] = Rounded<T>(w[i]);
+  return rounded;
+}
+
 // Where a row of the output is, of those of 2 z voxels.
 inline int64_t FineRow(const Volume& s, int64_t sample, int64_t x, int64_t y) {
   return (sample * 2 * s.x + x) * 2 * s.y + y;
@@ -52,9 +60,10 @@ void DeconvRows(const Volume& s, const Source<In>& in, const float* w, ffi::Thre
   using Element = typename Product::Element;
   const int64_t wide = RoundUp(s.cout, kLanes), deep = RoundUp(s.cin, Product::kDepth);
   const int64_t high = RoundUp(s.z, Product::kRows);
+  Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide);
   for (int64_t t = 0; t < kTaps; ++t) {
-    Product::Pack(w + t * s.cin * s.cout, s.cout, 1, s.cin, s.cout,
+    Product::Pack(rounded.data() + t * s.cin * s.cout, s.cout, 1, s.cin, s.cout,
                   weight.data() + t * deep * wide);
   }
   const int64_t slabs = (s.x + kDeconvSlab - 1) / kDeconvSlab;
@@ -197,9 +206,10 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
   using Fine = FineRows<Product>;
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
   const int64_t deep = RoundUp(s.cout, Product::kDepth), high = RoundUp(s.z, Product::kRows);
+  Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide_in);
   for (int64_t t = 0; t < kTaps; ++t) {
-    Product::Pack(w + t * s.cin * s.cout, 1, s.cout, s.cout, s.cin,
+    Product::Pack(rounded.data() + t * s.cin * s.cout, 1, s.cout, s.cout, s.cin,
                   weight.data() + t * deep * wide_in);
   }
   ParallelFor(pool, s.b, [&](int64_t sample) {
@@ -207,7 +217,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     constexpr int kRows = 2 * kStrip + 1;  // of the output, for a strip
     const int64_t row_size = RoundUp(Fine::Size(high, wide_out), 32), left_size = Fine::LeftSize(high, wide_in);
     // The output's plane 2 x + 2 is kept for the next x; of the two others a strip at a time.
-    const int64_t kept_rows = 2 * s.y + 1;
+    const int64_t kept_rows = 2 * s.y;
     Scratch<Element> buffer((kept_rows + 2 * kRows + 1) * row_size), left(kStrip * left_size);
     Scratch<float> fine(cotangent.padded), sum(high * wide_in), flat(in.padded);
     Scratch<float> scratch(2 * (high * wide_in + in.padded)), total(kTaps * wide_in * wide_out);
@@ -219,8 +229,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     for (int i = 0; i < 2 * kRows; ++i) rows[i / kRows][i % kRows] = next, next += row_size;
     const Element* const zero = next;
     const auto fill = [&](int64_t x, int64_t y, Element* to) {
-      cotangent.Row(FineRow(s, sample, x, y), fine.data());
-      Pad(fine.data(), 2 * s.z, s.cout, deep, to);
+      cotangent.template Row<In>(FineRow(s, sample, x, y), deep, fine.data(), to);
       Fine::Finish(s.z, high, wide_out, to);
     };
     for (int64_t y = 0; y < 2 * s.y; ++y) fill(0, y, kept[y]);
@@ -256,8 +265,9 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
             b[t] = weight.data() + t * deep * wide_in;
           }
           Product::Multiply(kTaps, a, 2 * deep, b, high, deep, wide_in, sum.data(), wide_in);
-          Unpad(sum.data(), wide_in, s.z, s.cin, flat.data());
-          in.Gradient(row + i, flat.data(), places.data(), dx, nullptr);
+          if (wide_in != s.cin) Unpad(sum.data(), wide_in, s.z, s.cin, flat.data());
+          in.Gradient(row + i, wide_in == s.cin ? sum.data() : flat.data(), places.data(), dx,
+                      nullptr);
         }
         if (!last) {  // the row that the next strip begins with goes with that
           for (int b = 0; b < 2 * count; ++b) std::swap(kept[2 * first + b], rows[1][b]);

@@ -57,6 +57,14 @@ CVN_INLINE void WithActivation(int64_t activation, const F& f) {
   }
 }
 
+// Factors that belong to a volume of T, where they are kept as To.
+template <typename T, typename To>
+void RoundRow(float* row, int64_t n) {
+  if constexpr (std::is_same_v<T, Bf16> && std::is_same_v<To, float>) {
+    for (int64_t i = 0; i < n; ++i) row[i] = Rounded<T>(row[i]);
+  }
+}
+
 // A value for each channel, over a row of n floats.
 inline Scratch<float> Repeat(const float* values, int64_t channels, int64_t n) {
   Scratch<float> repeated(n);
@@ -94,13 +102,14 @@ class Source {
     });
   }
 
-  // The same, [z][padded] numbers of another type.
+  // The same as a factor of a product, [z][padded].
   template <typename To>
   void Row(int64_t row, int64_t padded, float* scratch, To* to) const {
-    if (std::is_same_v<To, float> && padded == channels && size % kLanes == 0) {
+    if (std::is_same_v<T, To> && padded == channels && size % kLanes == 0) {
       return Row(row, reinterpret_cast<float*>(to));
     }
     Row(row, scratch);
+    RoundRow<T, To>(scratch, size);
     Pad(scratch, z, channels, padded, to);
   }
 
@@ -141,6 +150,8 @@ class Cotangent {
  public:
   Cotangent(const T* y, const T* dy, const float* dsums, int64_t z, int64_t channels)
       : size(z * channels),
+        z_(z),
+        channels_(channels),
         y_(y),
         dy_(dy),
         first_(Repeat(dsums, channels, size)),
@@ -159,9 +170,18 @@ class Cotangent {
     }
   }
 
-  const int64_t size;  // floats of a row
+  // The same as a factor of a product with a volume of In, [z][padded].
+  template <typename In, typename To>
+  void Row(int64_t row, int64_t padded, float* scratch, To* to) const {
+    Row(row, scratch);
+    RoundRow<In, To>(scratch, size);
+    Pad(scratch, z_, channels_, padded, to);
+  }
+
+  const int64_t size, padded;  // floats of a row, and those of its vectors
 
  private:
+  const int64_t z_, channels_;
   const T *y_, *dy_;
   Scratch<float> first_, second_;
 };
