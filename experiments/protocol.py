@@ -190,7 +190,7 @@ def evaluate(
     **workdirs,
   }
   if not _is_newer(report, workdirs.values()):
-    run_program(f.workdir, 'experiments.evaluate', json=report, **asked)
+    run_program(f.workdir, 'experiments.evaluate', baselines='true', json=report, **asked)
   return read_json(report)
 
 

@@ -1,0 +1,185 @@
+"""Numbers of methods, models and seeds as the tables of the paper show them.
+
+A model's number is its mean over views. A cell is the mean over models, and over seeds where there
+are several, with the standard error over models; the last column is the mean of the categories'
+means, as in the paper.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from absl import flags
+
+from cvn.files import atomic_write
+from experiments import protocol
+
+AVERAGE = 'avg.'
+
+
+class Scores(NamedTuple):
+  """A method's numbers in a category."""
+
+  models: tuple[str, ...]  # their ids
+  values: np.ndarray  # [seeds, models], NaN where no view of the model has a number
+
+
+class Row(NamedTuple):
+  """A line of a table."""
+
+  title: str
+  scores: Mapping[str, Scores]  # by category
+  published: Mapping[str, float]  # the paper's numbers, by category and `AVERAGE`
+
+
+def collect(
+  f: flags.FlagValues, method: str, metric: str, *, who: str = 'networks', threshold: str = ''
+) -> dict[str, Scores]:
+  """A method's numbers by category; trains and evaluates what is missing.
+
+  Args:
+    f: the shared flags of experiments.protocol.
+    method: a key of `protocol.METHODS`.
+    metric: a key of `scoring.METRICS`.
+    who: 'networks', or 'baselines' for the trivial ones beside the method.
+    threshold: 'paper' or 'val', instead of what --threshold says.
+  """
+  found: dict[str, list[dict[str, float]]] = {}
+  wanted = protocol.categories(f)
+  for trained_on, judged in protocol.trained_for(f, wanted):
+    for seed in f.seeds:
+      report = protocol.evaluate(f, method, trained_on, seed, threshold=threshold)
+      for category in judged:
+        means = {
+          name: _mean(model[metric])
+          for name, model in report[who]['by_model'].items()
+          if model['category'] == category
+        }
+        if means:
+          found.setdefault(category, []).append(means)
+  return {
+    category: Scores(tuple(seeds[0]), np.array([[s[name] for name in seeds[0]] for s in seeds]))
+    for category, seeds in found.items()
+  }
+
+
+def mean_and_error(scores: Scores) -> tuple[float, float, int]:
+  """(mean, standard error over models, number of models); NaN where there are too few."""
+  by_model = _nanmean(scores.values, axis=0)
+  by_model = by_model[~np.isnan(by_model)]
+  count = len(by_model)
+  error = np.std(by_model, ddof=1) / np.sqrt(count) if count > 1 else np.nan
+  return float(np.mean(by_model)) if count else np.nan, float(error), count
+
+
+def seed_means(row: Row) -> np.ndarray:
+  """The average of the categories' means for each seed, [seeds]."""
+  return np.mean([_nanmean(s.values, axis=1) for s in row.scores.values()], axis=0)
+
+
+def to_markdown(rows: Sequence[Row], form: str) -> str:
+  """A table: our numbers, and the paper's in brackets; a line with the number of models.
+
+  Args:
+    rows: with the same categories.
+    form: of numbers, such as '.3f'.
+  """
+  names = list(dict.fromkeys(c for row in rows for c in row.scores))
+  lines = [
+    '| | ' + ' | '.join([*names, AVERAGE]) + ' |',
+    '| --- ' * (len(names) + 2) + '|',
+  ]
+  for row in rows:
+    cells = []
+    for c in names:
+      mean, error, _ = mean_and_error(row.scores[c]) if c in row.scores else (np.nan,) * 3
+      cells.append(_cell(mean, error, row.published.get(c), form))
+    averages = seed_means(row)
+    spread = np.std(averages, ddof=1) if len(averages) > 1 else np.nan
+    text = _cell(float(np.mean(averages)), np.nan, row.published.get(AVERAGE), form)
+    cells.append(text + (f' (seeds: {spread:{form}})' if len(averages) > 1 else ''))
+    lines.append(f'| {row.title} | ' + ' | '.join(cells) + ' |')
+  counts = [str(len(next(r.scores[c] for r in rows if c in r.scores).models)) for c in names]
+  lines.append('| test models | ' + ' | '.join([*counts, '']) + ' |')
+  return '\n'.join(lines)
+
+
+def compare(better: Row, other: Row, form: str) -> str:
+  """A line on how much a method is better than another, model by model."""
+  differences = np.concatenate(
+    [
+      _nanmean(better.scores[c].values, axis=0) - _nanmean(other.scores[c].values, axis=0)
+      for c in better.scores
+    ]
+  )
+  differences = differences[~np.isnan(differences)]
+  error = np.std(differences, ddof=1) / np.sqrt(len(differences)) if len(differences) > 1 else 0
+  by_seed = seed_means(better) - seed_means(other)
+  seeds = '' if len(by_seed) < 2 else f'; by seed {", ".join(f"{d:+{form}}" for d in by_seed)}'
+  return (
+    f'{better.title} - {other.title}: {np.mean(differences):+{form}} ± {error:{form}} over'
+    f' {len(differences)} models, above in {np.mean(differences > 0):.0%}{seeds}'
+  )
+
+
+def write(path: str, table: Mapping[str, Any]) -> None:
+  """Writes a table's JSON file."""
+  with atomic_write(path) as temporary, open(temporary, 'w') as out:
+    out.write(json.dumps(table, indent=1) + '\n')
+
+
+def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
+  """Rows as JSON values: None where there is no number."""
+
+  def number(x):
+    return None if x is None or np.isnan(x) else float(x)
+
+  return [
+    {
+      'title': row.title,
+      'categories': {
+        c: {
+          **dict(zip(('mean', 'error', 'models'), map(number, mean_and_error(s)), strict=True)),
+          'seeds': [number(x) for x in _nanmean(s.values, axis=1)],
+          'published': row.published.get(c),
+        }
+        for c, s in row.scores.items()
+      },
+      'average': {
+        'seeds': [number(x) for x in seed_means(row)],
+        'published': row.published.get(AVERAGE),
+      },
+    }
+    for row in rows
+  ]
+
+
+def path_of(f: flags.FlagValues, name: str) -> str:
+  """Where a table's JSON goes."""
+  return os.path.join(f.workdir, 'tables', f'{name}.json')
+
+
+def describe(f: flags.FlagValues) -> dict[str, Any]:
+  """What a reader must know of the numbers."""
+  names = ('data', 'models', 'epochs', 'batch_size', 'learning_rate', 'dtype', 'seeds')
+  return {n: f[n].value for n in (*names, 'train_source', 'source', 'threshold', 'quick')}
+
+
+def _cell(mean, error, published, form):
+  if np.isnan(mean):
+    return '-'
+  text = f'{mean:{form}}' + ('' if np.isnan(error) else f' ± {error:{form}}')
+  return text + (f' [{published}]' if published is not None else '')
+
+
+def _mean(values):
+  numbers = [v for v in values if v is not None]
+  return float(np.mean(numbers)) if numbers else np.nan
+
+
+def _nanmean(values, axis):
+  """np.nanmean, without a warning where there is no number at all."""
+  count = np.sum(~np.isnan(values), axis=axis)
+  return np.where(count, np.nansum(values, axis=axis) / np.maximum(count, 1), np.nan)
