@@ -89,7 +89,7 @@ def _compile_step(objective, recipe, learning_rate):
   def step(state, batch):
     samples = (state.step * len(batch.image)).astype(jnp.float32)
     rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
-    decay = norm_decay(samples)
+    decay = norm_decay(samples, len(batch.image))
     (_, (found, batch_stats)), gradient = jax.value_and_grad(objective, has_aux=True)(
       state.params, state.batch_stats, batch
     )

@@ -126,9 +126,10 @@ def test_running_statistics_follow_the_decay():
     jax.tree.map(np.asarray, step(jax.tree.map(jnp.copy, s), batch)[0].batch_stats)
     for s in (ones, zeros)
   )
-  # What was there keeps half of its weight, half of the batch's own statistics comes to it.
+  # Of what was there, half goes in 60 samples; the batch's own statistics take the place.
+  kept = 0.5 ** (len(batch.image) / 60)
   jax.tree.map(
-    lambda o, n, b: np.testing.assert_allclose(n, 0.5 * o + b, rtol=1e-5, atol=1e-6),
+    lambda o, n, b: np.testing.assert_allclose(n, kept * o + b, rtol=1e-5, atol=1e-6),
     was,
     became,
     from_zeros,
@@ -151,6 +152,7 @@ def test_schedules():
   np.testing.assert_allclose(
     RELEASE.learning_rate(samples), [3e-4, 3e-4, 2.1e-4, 1.029e-4, 1e-5], rtol=1e-5
   )
-  np.testing.assert_allclose(norm_decay(samples), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
+  np.testing.assert_allclose(norm_decay(samples, 60), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
+  np.testing.assert_allclose(norm_decay(samples, 12) ** 5, norm_decay(samples, 60), rtol=1e-5)
   np.testing.assert_allclose(PAPER.learning_rate(samples), 3e-4)
   assert sorted(RECIPES) == ['paper', 'release']
