@@ -29,6 +29,8 @@ WEIGHT_COLORS = np.array([[0.10, 0.25, 0.85], [1.00, 0.87, 0.10]])
 MARGIN = 1.03  # of a raised camera's frame around the cube; the level camera's is the same
 PANEL_AZIMUTH = 30  # degrees: where a panel shows its volumes from
 RESULT_AZIMUTHS = (315, 150)  # degrees: the result's two other sides
+FONT_SIZE = 12  # pixels
+LINE_HEIGHT = 1.3  # of the font's size
 _TEXT_COLOR = (40, 40, 40)
 
 
@@ -125,6 +127,48 @@ def over(image, background: Sequence[int] = WHITE) -> np.ndarray:
   return to_uint8((image[..., :3] * alpha + np.asarray(background) * (1 - alpha)) / 255)
 
 
+def enlarge(image, size: int) -> np.ndarray:
+  """A uint8 image [H, W, 3 or 4] on white, size x size pixels, none of them smoothed."""
+  return np.asarray(Image.fromarray(over(image)).resize((size, size), Image.Resampling.NEAREST))
+
+
+def stack(images: Sequence[np.ndarray]) -> np.ndarray:
+  """uint8 images [H, W, 3] of any widths, one below the other, at the left of a white ground."""
+  canvas = np.empty((sum(len(x) for x in images), max(x.shape[1] for x in images), 3), np.uint8)
+  canvas[:] = WHITE
+  top = 0
+  for image in images:
+    canvas[top : top + len(image), : image.shape[1]] = image
+    top += len(image)
+  return canvas
+
+
+def draw_text(text: str, width: int, *, gap: int = 4) -> np.ndarray:
+  """Text on white, with line breaks where the width makes them: uint8 [H, width, 3].
+
+  Args:
+    text: each of its own lines begins a new one.
+    width: in pixels; a longer word is cut.
+    gap: pixels around the text.
+  """
+  font = ImageFont.load_default(size=FONT_SIZE)
+  lines = []
+  for line in text.split('\n'):
+    lines.append('')
+    for word in line.split():
+      longer = f'{lines[-1]} {word}'.lstrip()
+      if font.getlength(longer) <= width - 2 * gap or not lines[-1]:
+        lines[-1] = longer
+      else:
+        lines.append(word)
+  height = round(LINE_HEIGHT * FONT_SIZE)
+  picture = Image.new('RGB', (width, height * len(lines) + 2 * gap), WHITE)
+  draw = ImageDraw.Draw(picture)
+  for n, line in enumerate(lines):
+    draw.text((gap, gap + height * n), line, _TEXT_COLOR, font)
+  return np.asarray(picture)
+
+
 def grid_of_images(
   rows: Sequence[Sequence[np.ndarray | None]],
   *,
@@ -152,7 +196,7 @@ def grid_of_images(
     for c in range(count)
   ]
   heights = [max([x.shape[0] for x in row if x is not None] + [1]) for row in cells]
-  font = ImageFont.load_default(size=12)
+  font = ImageFont.load_default(size=FONT_SIZE)
   measure = ImageDraw.Draw(Image.new('RGB', (1, 1)))
 
   def extent(text):
@@ -205,11 +249,10 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
   def on_surface(color):
     return draw_voxels(voxels._replace(color=color), PANEL_AZIMUTH, size=size)
 
-  enlarged = Image.fromarray(over(view)).resize((size, size), Image.Resampling.NEAREST)
   weight = weight_color_code(reconstruction.weight)
   rows = [
     {
-      'input': np.asarray(enlarged),
+      'input': enlarge(view, size),
       'flow': on_surface(flow_color_code(reconstruction.flow)),
       'sampled': on_surface(reconstruction.sampled),
       'regressed': on_surface(reconstruction.regressed),
@@ -220,7 +263,7 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
       **{f'result from {a}°': draw_voxels(voxels, a, size=size) for a in RESULT_AZIMUTHS},
     },
   ]
-  return np.concatenate([grid_of_images([list(r.values())], column_titles=list(r)) for r in rows])
+  return stack([grid_of_images([list(r.values())], column_titles=list(r)) for r in rows])
 
 
 def _raised_camera(azimuth: float, elevation: float, size: int) -> camera.Camera:

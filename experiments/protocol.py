@@ -194,17 +194,22 @@ def evaluate(
   return read_json(report)
 
 
-def make_predictor(
-  f: flags.FlagValues, method: str, category: str, seed: str
-) -> Callable[[np.ndarray], list[ColoredVoxels]]:
-  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+class Networks(NamedTuple):
+  """What a method reconstructs with."""
 
-  Arguments as of `evaluate`; the method must give colours. Trains and evaluates what it needs.
+  shape: scoring.Network
+  color: scoring.Network
+  threshold: float  # from which score on a voxel is occupied
+
+
+def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks:
+  """A method's networks; trains and evaluates what it needs.
+
+  Arguments as of `evaluate`; the method must give colours.
   """
   own = METHODS[method]
   dataset = open_dataset(f.data)
   threshold = evaluate(f, method, category, seed)['threshold']
-  size = dataset.manifest.grid_size
   shape, color = (
     scoring.load(train(f, training, category, seed), kinds, dataset)
     for training, kinds in (
@@ -212,10 +217,22 @@ def make_predictor(
       (own.color, methods.COLOR_KINDS),
     )
   )
+  return Networks(shape, color, threshold)
+
+
+def make_predictor(
+  f: flags.FlagValues, method: str, category: str, seed: str
+) -> Callable[[np.ndarray], list[ColoredVoxels]]:
+  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+
+  Arguments as of `load`.
+  """
+  shape, color, threshold = load(f, method, category, seed)
+  size = open_dataset(f.data).manifest.grid_size
 
   def predict(views):
     scores = methods.score(shape.kind, shape.variables, views, grid_size=size)
-    options = {'alpha': own.alpha, 'threshold': threshold, 'grid_size': size}
+    options = {'alpha': METHODS[method].alpha, 'threshold': threshold, 'grid_size': size}
     colors = methods.colors(color.kind, color.variables, views, **options)
     return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 

@@ -147,3 +147,30 @@ def test_panel_shows_each_volume_on_the_voxels():
   assert {blue, yellow} <= left  # flow, weight
   assert {green, red, yellow} <= right  # sampled, regressed, result
   assert not {green, red} & left
+
+
+def test_enlarged_pixels_stay_pixels():
+  view = np.zeros((2, 2, 4), np.uint8)
+  view[0, 1] = 255, 0, 0, 255
+  image = figures.enlarge(view, 6)
+  assert image.shape == (6, 6, 3)
+  np.testing.assert_array_equal(image[:3, 3:], np.broadcast_to([255, 0, 0], (3, 3, 3)))
+  assert (image[3:] == 255).all() and (image[:, :3] == 255).all()
+
+
+def test_stacked_images_are_filled_with_white():
+  red, green = (np.full((2, w, 3), c, np.uint8) for w, c in ((3, [255, 0, 0]), (5, [0, 255, 0])))
+  image = figures.stack([red, green])
+  assert image.shape == (4, 5, 3)
+  np.testing.assert_array_equal(image[:2, :3], red)
+  np.testing.assert_array_equal(image[2:], green)
+  assert (image[:2, 3:] == 255).all()
+
+
+def test_text_is_broken_into_lines_that_fit():
+  one, broken = (figures.draw_text('many words in one line', w) for w in (400, 80))
+  assert one.shape[1] == 400 and broken.shape[1] == 80
+  assert len(broken) > 1.5 * len(one)
+  assert (broken[:, -4:] == 255).all() and broken.min() < 100
+  assert len(figures.draw_text('two\nlines', 400)) > len(one)
+  assert len(figures.draw_text('onelongword', 10)) == len(one)
