@@ -27,7 +27,10 @@ from cvn.errors import UserError
 FORMAT = 1
 KEEP = 2
 # What runs did that were begun before there was a setting.
-_BEFORE = {'dtype': 'float32', 'heads': 'dense', 'shape_loss': 'msfcel', 'source': []}
+_BEFORE = {
+  **{'dtype': 'float32', 'heads': 'dense', 'shape_loss': 'msfcel', 'source': []},
+  **{'schedule': None, 'mirror': None},
+}
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:

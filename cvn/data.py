@@ -21,6 +21,7 @@ import grain
 import numpy as np
 
 from cvn import dataset as dataset_lib
+from cvn import grid
 from cvn.dataset import Dataset
 from cvn.errors import UserError
 
@@ -93,6 +94,15 @@ def composite(rgba: np.ndarray, background: float = GREY) -> np.ndarray:
   return rgba[..., :3] * alpha + np.float32(background) * (1 - alpha)
 
 
+def read_views(dataset: Dataset, row: int) -> np.ndarray:
+  """The views [V, H, W, 4] u8 of a model, and nothing else of it.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  return _read(dataset, row, dataset.arrays['views'][row])[0]
+
+
 def read_shape(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
   """One element of a `ShapeBatch`: its arrays without the batch axis.
 
@@ -135,6 +145,7 @@ def training_batches(
   batch_size: int,
   seed: int,
   background: float = GREY,
+  mirror: bool = False,
   shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
@@ -149,6 +160,7 @@ def training_batches(
     batch_size: elements of a batch of this process.
     seed: of order and views, 0 to 2^32 - 1.
     background: grey level in [0, 1] behind the object.
+    mirror: whether a random half of the elements is mirrored, see `mirrored`.
     shard: (process, processes): each process sees its own part of every epoch.
 
   Raises:
@@ -164,18 +176,45 @@ def training_batches(
     )
   views = len(dataset.manifest.azimuths)
 
-  def choose_view(row, rng: np.random.Generator):
-    return row, rng.integers(views)
+  read_one = _reader(read, dataset, background)
+
+  def choose(row, rng: np.random.Generator):
+    return row, rng.integers(views), mirror and rng.integers(2)
+
+  def read_chosen(chosen):
+    row, view, flipped = chosen
+    element = read_one((row, view))
+    return mirrored(element, dataset.manifest.grid_size) if flipped else element
 
   return (
     grain.MapDataset.source([int(r) for r in rows])
     .seed(seed)
-    .random_map(choose_view)  # before the shuffle: there its index is (epoch, element)
+    .random_map(choose)  # before the shuffle: there its index is (epoch, element)
     .shuffle()
     .slice(slice(process, share * processes, processes))
-    .map(_reader(read, dataset, background))
+    .map(read_chosen)
     .batch(batch_size, drop_remainder=True)
   )
+
+
+def mirrored(element: Any, grid_size: int) -> Any:
+  """A `Batch`'s or `ShapeBatch`'s element of the object's mirror image in x.
+
+  Turned over from left to right, the view from azimuth a is the mirrored object's view from -a.
+
+  Args:
+    element: without the batch axis.
+    grid_size: of the data set.
+  """
+  index = element.index.copy()
+  real = index[:, 0] != grid.PADDING_INDEX
+  index[real, 0] = grid_size - 1 - index[real, 0]
+  element = element._replace(image=np.ascontiguousarray(element.image[:, ::-1]), index=index)
+  if isinstance(element, ShapeBatch):
+    return element
+  flow = element.flow.copy()
+  flow[real, 0] = 1 - flow[real, 0]
+  return element._replace(flow=flow)
 
 
 def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:

@@ -4,7 +4,8 @@
 results are numpy arrays.
 """
 
-import jax
+import functools
+
 import numpy as np
 
 from cvn import blending, metrics, reconstruct
@@ -17,7 +18,9 @@ SHAPE_KINDS = (*THRESHOLDS,)
 COLOR_KINDS = ('color', 'regression', 'flow', 'joint', 'r2n2')
 
 
-def score(kind: str, variables, views: jax.Array, *, grid_size: int = GRID_SIZE) -> np.ndarray:
+def score(
+  kind: str, variables, views: np.ndarray, *, flip: bool = False, grid_size: int = GRID_SIZE
+) -> np.ndarray:
   """How occupied voxels are [V, X, Y, Z]: occupied is what lies above a threshold.
 
   A probability or, of the joint baseline's volume, the lowest channel: it is above a threshold
@@ -27,8 +30,11 @@ def score(kind: str, variables, views: jax.Array, *, grid_size: int = GRID_SIZE)
     kind: one of `SHAPE_KINDS`.
     variables: of the network.
     views: [V, H, W, 4 or 3].
+    flip: whether to take the mean with what it says of the mirrored views, mirrored back.
     grid_size: of the network.
   """
+  if flip:
+    return _with_mirrored(functools.partial(score, kind, variables, grid_size=grid_size), views)
   if kind == 'shape':
     found = reconstruct.estimate_shape(variables, views, grid_size=grid_size)
   elif kind == 'joint':
@@ -41,10 +47,11 @@ def score(kind: str, variables, views: jax.Array, *, grid_size: int = GRID_SIZE)
 def colors(
   kind: str,
   variables,
-  views: jax.Array,
+  views: np.ndarray,
   *,
   alpha: float = blending.ALPHA,
   threshold: float = THRESHOLDS['r2n2'],
+  flip: bool = False,
   grid_size: int = GRID_SIZE,
 ) -> np.ndarray:
   """The colours of all voxels [V, X, Y, Z, 3] in [0, 1].
@@ -55,8 +62,12 @@ def colors(
     views: [V, H, W, 4 or 3].
     alpha: in (0, 1], of networks that blend (section 3.5).
     threshold: of the joint baseline, whose colours depend on it (equation 9).
+    flip: as of `score`.
     grid_size: of the network.
   """
+  if flip:
+    options = {'alpha': alpha, 'threshold': threshold, 'grid_size': grid_size}
+    return _with_mirrored(functools.partial(colors, kind, variables, **options), views)
   if kind == 'color':
     found = reconstruct.estimate_color(variables, views, alpha=alpha, grid_size=grid_size).blended
   elif kind == 'joint':
@@ -69,3 +80,8 @@ def colors(
     volume = reconstruct.estimate_r2n2(variables, views, grid_size=grid_size)
     found = blending.adjust_color(volume, threshold)[1]
   return np.asarray(found)
+
+
+def _with_mirrored(estimate, views):
+  """The mean of what is estimated of the views and, mirrored back in x, of the mirrored views."""
+  return (estimate(views) + estimate(views[:, :, ::-1])[:, ::-1]) / 2

@@ -5,6 +5,7 @@
 changes goes out.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -45,14 +46,14 @@ def create_state(key: jax.Array, kind: str) -> TrainState:
 
 
 def make_step(
-  kind: str, recipe: Recipe, *, learning_rate: float | None = None, mixed: bool = False
+  kind: str, recipe: Recipe, *, samples: float = math.inf, mixed: bool = False
 ) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
   """One optimisation step, compiled; the state that goes in is donated.
 
   Args:
     kind: of network.
     recipe: loss, schedules, penalty.
-    learning_rate: a constant one, instead of the recipe's.
+    samples: of the whole training, for schedules that end with it.
     mixed: whether products are of bfloat16 numbers.
 
   Returns:
@@ -64,11 +65,11 @@ def make_step(
   def objective(params, batch_stats, batch):
     return _objective(params, batch_stats, batch, network, kind, recipe, True)
 
-  return _compile_step(objective, recipe, learning_rate)
+  return _compile_step(objective, recipe, samples)
 
 
 def make_surface_step(
-  recipe: Recipe, *, learning_rate: float | None = None, mixed: bool = False
+  recipe: Recipe, *, samples: float = math.inf, mixed: bool = False
 ) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
   """The same for the colour network, its heads computed at surface voxels alone.
 
@@ -80,15 +81,15 @@ def make_surface_step(
   def objective(params, batch_stats, batch):
     return _surface_objective(params, batch_stats, batch, trunk, recipe)
 
-  return _compile_step(objective, recipe, learning_rate)
+  return _compile_step(objective, recipe, samples)
 
 
-def _compile_step(objective, recipe, learning_rate):
+def _compile_step(objective, recipe, total):
   """The step of an objective (params, batch statistics, batch) -> (loss, (metrics, statistics))."""
 
   def step(state, batch):
     samples = (state.step * len(batch.image)).astype(jnp.float32)
-    rate = recipe.learning_rate(samples) if learning_rate is None else learning_rate
+    rate = recipe.learning_rate * recipe.schedule(samples, total)
     decay = norm_decay(samples, len(batch.image))
     (_, (found, batch_stats)), gradient = jax.value_and_grad(objective, has_aux=True)(
       state.params, state.batch_stats, batch

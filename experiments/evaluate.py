@@ -1,8 +1,8 @@
 r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
-  [--category=NAME,...] [--source=NAME,...] [--alpha=0.2] [--threshold=NUMBER|val] [--baselines]
-  [--json=FILE]
+  [--category=NAME,...] [--source=NAME,...] [--alpha=0.2] [--threshold=NUMBER|val] [--flip]
+  [--baselines] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
@@ -57,6 +57,9 @@ def define_flags(f: flags.FlagValues) -> None:
     'In (0, 1]: the smaller, the more the sampled colours count.',
     **own,
   )
+  flags.DEFINE_bool(
+    'flip', False, 'Take means with what the networks say of the mirrored views.', **own
+  )
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines, too.', **own)
   flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
@@ -92,10 +95,11 @@ def run(f: flags.FlagValues) -> int:
         means.get(models[row].category),
         alpha=f.alpha,
         threshold=threshold,
+        flip=f.flip,
       )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
-    report = {name: f[name].value for name in ('data', 'split', 'shape', 'color', 'alpha')}
+    report = {name: f[name].value for name in ('data', 'split', 'shape', 'color', 'alpha', 'flip')}
     report |= {'threshold': threshold} | summarize(dataset, rows, found)
     print_report(report)
     if temporary:
@@ -128,7 +132,7 @@ def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split val: give a --threshold')
   progress = tqdm(rows, desc='threshold on val', unit='model', disable=None)
-  return scoring.choose_threshold(dataset, progress, shape)
+  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip)
 
 
 def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:

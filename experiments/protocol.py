@@ -41,6 +41,10 @@ TRAININGS: dict[str, dict[str, str]] = {
   'unified': {'network': 'joint'},
   'msfcel_release': {'network': 'shape', 'recipe': 'release'},
   'blended_release': {'network': 'color', 'recipe': 'release'},
+  'msfcel_mirror': {'network': 'shape', 'mirror': 'true'},
+  'blended_mirror': {'network': 'color', 'mirror': 'true'},
+  'msfcel_best': {'network': 'shape', 'recipe': 'best'},
+  'blended_best': {'network': 'color', 'recipe': 'best'},
 }
 
 

@@ -67,7 +67,9 @@ def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
   return true
 
 
-def choose_threshold(dataset: Dataset, rows: Iterable[int], shape: Network) -> float:
+def choose_threshold(
+  dataset: Dataset, rows: Iterable[int], shape: Network, *, flip: bool = False
+) -> float:
   """The threshold of the best mean IoU over all views of the rows' models; some model is needed."""
   candidates = CHANNELS if shape.kind == 'r2n2' else PROBABILITIES
   size = dataset.manifest.grid_size
@@ -76,7 +78,7 @@ def choose_threshold(dataset: Dataset, rows: Iterable[int], shape: Network) -> f
     record = read_record(dataset, row)
     true = to_voxels(record, size).occupancy
     views = record.views.astype(np.float32) / 255
-    scores = methods.score(shape.kind, shape.variables, views, grid_size=size)
+    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
     curves += [metrics.iou_at(s, true, candidates) for s in scores]
   return float(candidates[np.argmax(np.mean(curves, axis=0))])
 
@@ -90,6 +92,7 @@ def score_model(
   *,
   alpha: float,
   threshold: float,
+  flip: bool = False,
 ) -> dict[str, dict[str, list[float]]]:
   """The metrics of all views of a model.
 
@@ -101,6 +104,7 @@ def score_model(
     baseline: of the model's category, where it is to be judged, too.
     alpha: of the blend.
     threshold: of the shape network's score.
+    flip: whether to take means with the mirrored views, see cvn.methods.
 
   Returns:
     {'networks': {metric: [V]}, 'baselines': likewise}.
@@ -111,9 +115,9 @@ def score_model(
   views = record.views.astype(np.float32) / 255
   scores = colors = None
   if shape:
-    scores = methods.score(shape.kind, shape.variables, views, grid_size=size)
+    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
   if color:
-    options = {'alpha': alpha, 'threshold': threshold, 'grid_size': size}
+    options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
     colors = methods.colors(color.kind, color.variables, views, **options)
   found = {'networks': {k: [] for k in METRICS}}
   if baseline:

@@ -1,6 +1,6 @@
 r"""Trains a network on a data set.
 
-python -m experiments.train --network=shape --recipe=paper --data=DIR --workdir=DIR
+python -m experiments.train --network=shape --recipe=paper|release|best --data=DIR --workdir=DIR
 
 The method of the paper is shape and color. The others are what it is compared with: regression and
 flow are the colour network without its other heads, joint is the unified network, r2n2 the adapted
@@ -36,6 +36,7 @@ from cvn import (
   methods,
   train,
 )
+from cvn import recipe as recipes
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
@@ -76,7 +77,20 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_list('validation_source', [], 'Sources of models to validate on; all.', **own)
   flags.DEFINE_integer('epochs', 500, 'Epochs in all.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
-  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipe's.", **own)
+  flags.DEFINE_float('learning_rate', None, "The first one, instead of the recipe's.", **own)
+  flags.DEFINE_enum(
+    'schedule',
+    None,
+    [*recipes.SCHEDULES],
+    "Of the learning rate, instead of the recipe's: cosine ends at 0 with the last epoch.",
+    **own,
+  )
+  flags.DEFINE_bool(
+    'mirror',
+    None,
+    'Whether half of the views are mirrored, each with its object, instead of as the recipe says.',
+    **own,
+  )
   flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
   flags.DEFINE_integer('log_every', 10, 'Steps between lines of the log.', lower_bound=1, **own)
   flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
@@ -94,15 +108,17 @@ def main(_) -> int:
 
 def run(f: flags.FlagValues) -> int:
   """Trains as the flags say; returns the exit status."""
-  recipe = RECIPES[f.recipe]._replace(shape_loss=SHAPE_LOSSES[f.shape_loss])
+  recipe = make_recipe(f)
   read = data.read_shape if f.network == 'shape' else data.read_color
   dataset = open_dataset(f.data)
   check_sizes(dataset)
-  train_step = make_step(f, recipe)
   rows = data.select_rows(dataset, 'train', f.category, f.source)
-  batches = data.training_batches(read, dataset, rows, batch_size=f.batch_size, seed=f.seed)
+  batches = data.training_batches(
+    read, dataset, rows, batch_size=f.batch_size, seed=f.seed, mirror=recipe.mirror
+  )
+  train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
-  checkpoint.start(f.workdir, make_config(f, dataset, len(rows)))
+  checkpoint.start(f.workdir, make_config(f, recipe, dataset, len(rows)))
 
   put_batch, put_state = make_placement(f.batch_size)
   state = put_state(train.create_state(jax.random.key(f.seed), f.network))
@@ -171,13 +187,23 @@ def run(f: flags.FlagValues) -> int:
   return 0
 
 
-def make_step(f: flags.FlagValues, recipe: Recipe):
+def make_recipe(f: flags.FlagValues) -> Recipe:
+  """The recipe that the flags name, with what they change in it."""
+  recipe = RECIPES[f.recipe]._replace(shape_loss=SHAPE_LOSSES[f.shape_loss])
+  if f.learning_rate is not None:
+    recipe = recipe._replace(learning_rate=f.learning_rate)
+  if f.schedule is not None:
+    recipe = recipe._replace(schedule=recipes.SCHEDULES[f.schedule])
+  return recipe if f.mirror is None else recipe._replace(mirror=f.mirror)
+
+
+def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
   """The step that the flags ask for.
 
   Raises:
     UserError: there is none.
   """
-  options = {'learning_rate': f.learning_rate, 'mixed': f.dtype == 'mixed'}
+  options = {'samples': samples, 'mixed': f.dtype == 'mixed'}
   if f.heads == 'dense':
     return train.make_step(f.network, recipe, **options)
   if f.network != 'color':
@@ -207,13 +233,15 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   return data.evaluation_pairs(rows, views, count)
 
 
-def make_config(f: flags.FlagValues, dataset: Dataset, models: int) -> dict:
+def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: int) -> dict:
   """All that a resumed run must share with the one it continues."""
   names = (
     *('network', 'recipe', 'shape_loss', 'dtype', 'heads', 'category', 'source'),
-    *('batch_size', 'learning_rate', 'seed'),
+    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'seed'),
   )
-  return {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
+  config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
+  # A schedule that ends with the training is another one where that is longer.
+  return config | ({'epochs': f.epochs} if recipe.schedule is recipes.cosine else {})
 
 
 def make_placement(batch_size: int):

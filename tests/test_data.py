@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from cvn import data, dataset, grid
+from cvn import camera, data, dataset, grid
 from cvn.errors import UserError
 
 VIEWS = 3
@@ -112,6 +112,37 @@ def test_element_is_the_record(made):
   np.testing.assert_array_equal(got.color[:count], record.surface_color.astype(np.float32) / 255)
   np.testing.assert_array_equal(got.flow[:count], record.flow[2])
   assert not got.color[count:].any() and not got.flow[count:].any()
+
+
+def test_a_mirrored_element_is_the_mirrored_objects_view(made):
+  """Azimuth a of the object, turned over, is azimuth -a of the object mirrored in x."""
+  slots, size = data.surface_slots(made), made.manifest.grid_size
+  element = data.read_color(made, 0, 1, slots=slots)
+  found = data.mirrored(element, size)
+  real = element.index[:, 0] != grid.PADDING_INDEX
+  expected = [size - 1, 0, 0] + element.index[real] * [-1, 1, 1]
+  np.testing.assert_array_equal(found.index[real], expected)
+  assert (found.index[~real] == grid.PADDING_INDEX).all() and not found.flow[~real].any()
+  np.testing.assert_array_equal(found.image[:, ::-1], element.image)
+  np.testing.assert_array_equal(found.color, element.color)
+  view = camera.camera_at(-made.manifest.azimuths[1], image_size=made.manifest.image_size)
+  pixel, _ = camera.project(grid.index_to_world(found.index[real], size=size), view)
+  np.testing.assert_allclose(found.flow[real], pixel / made.manifest.image_size, atol=1e-4)
+  twice = data.mirrored(found, size)
+  np.testing.assert_array_equal(twice.index, element.index)
+  np.testing.assert_allclose(twice.flow, element.flow, atol=1e-6)
+  shape = data.mirrored(data.read_shape(made, 0, 1, slots=slots), size)
+  np.testing.assert_array_equal(shape.index, found.index)
+
+
+def test_half_of_the_elements_are_mirrored(made):
+  plain, both = batches(made), batches(made, mirror=True)
+  flipped = []
+  for n in range(60):
+    for a, b in zip(plain[n].image, both[n].image, strict=True):
+      flipped.append(not np.array_equal(a, b))
+      np.testing.assert_array_equal(b, a[:, ::-1] if flipped[-1] else a)
+  assert 0.3 < np.mean(flipped) < 0.7
 
 
 def test_shape_element_is_the_color_element_without_its_colors(made):

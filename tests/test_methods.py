@@ -54,3 +54,25 @@ def test_the_joint_baseline_has_one_threshold_for_shape_and_color(views):
   np.testing.assert_array_equal(
     methods.colors('r2n2', variables, views, threshold=threshold, grid_size=GRID), color
   )
+
+
+@pytest.mark.parametrize('kind', ['shape', 'r2n2'])
+def test_flipped_estimates_are_those_of_the_mirrored_object_mirrored(kind, views):
+  variables = make_variables(kind)
+  plain = methods.score(kind, variables, views, grid_size=GRID)
+  other = methods.score(kind, variables, views[:, :, ::-1], grid_size=GRID)
+  found = methods.score(kind, variables, views, flip=True, grid_size=GRID)
+  np.testing.assert_allclose(found, (plain + other[:, ::-1]) / 2, atol=1e-6)
+  # A symmetric view has a symmetric estimate.
+  symmetric = np.concatenate([views[:, :, : IMAGE // 2], views[:, :, : IMAGE // 2][:, :, ::-1]], 2)
+  found = methods.score(kind, variables, symmetric, flip=True, grid_size=GRID)
+  np.testing.assert_allclose(found, found[:, ::-1], atol=1e-6)
+
+
+def test_flipped_colors(views):
+  variables = make_variables('regression')
+  plain, other = (
+    methods.colors('regression', variables, v, grid_size=GRID) for v in (views, views[:, :, ::-1])
+  )
+  found = methods.colors('regression', variables, views, flip=True, grid_size=GRID)
+  np.testing.assert_allclose(found, (plain + other[:, ::-1]) / 2, atol=1e-6)

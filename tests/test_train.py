@@ -10,7 +10,7 @@ import pytest
 from cvn import blending, losses, sampler, train
 from cvn.data import Batch
 from cvn.grid import PADDING_INDEX
-from cvn.recipe import PAPER, RECIPES, RELEASE, norm_decay
+from cvn.recipe import BEST, PAPER, RECIPES, RELEASE, norm_decay
 
 SLOTS = 256
 
@@ -134,7 +134,7 @@ def test_running_statistics_follow_the_decay():
     became,
     from_zeros,
   )
-  variance = from_zeros['trunk']['encoder']['conv0']['norm']['var'] / 0.5
+  variance = from_zeros['trunk']['encoder']['conv0']['norm']['var'] / (1 - kept)
   assert (variance > 1e-3).all()
 
 
@@ -150,9 +150,14 @@ def test_release_adds_the_kernel_penalty():
 def test_schedules():
   samples = jnp.array([0.0, 19_999, 20_000, 60_000, 1e7])
   np.testing.assert_allclose(
-    RELEASE.learning_rate(samples), [3e-4, 3e-4, 2.1e-4, 1.029e-4, 1e-5], rtol=1e-5
+    RELEASE.learning_rate * RELEASE.schedule(samples, 1e9),
+    [3e-4, 3e-4, 2.1e-4, 1.029e-4, 1e-5],
+    rtol=1e-5,
   )
   np.testing.assert_allclose(norm_decay(samples, 60), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
   np.testing.assert_allclose(norm_decay(samples, 12) ** 5, norm_decay(samples, 60), rtol=1e-5)
-  np.testing.assert_allclose(PAPER.learning_rate(samples), 3e-4)
-  assert sorted(RECIPES) == ['paper', 'release']
+  np.testing.assert_allclose(PAPER.learning_rate * PAPER.schedule(samples, 1e9), 3e-4)
+  quarters = BEST.schedule(jnp.array([0.0, 25, 50, 100]), 100)
+  np.testing.assert_allclose(quarters, [1, 0.5 + 0.5**0.5 / 2, 0.5, 0], atol=1e-6)
+  np.testing.assert_allclose(BEST.schedule(samples, np.inf), 1)  # no end is known
+  assert sorted(RECIPES) == ['best', 'paper', 'release']

@@ -16,8 +16,9 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import checkpoint, data, grid
+from cvn import checkpoint, data, grid, losses
 from cvn.errors import UserError
+from cvn.recipe import RELEASE, cosine
 from experiments import train as program
 
 DRAW = program.draw
@@ -43,9 +44,9 @@ def loss_of(params, batch):
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
-def make_step(kind, recipe, *, learning_rate=None, mixed=False):
-  del kind, recipe, mixed
-  optimizer = optax.adam(learning_rate or 3e-4)
+def make_step(kind, recipe, *, samples, mixed=False):
+  del kind, samples, mixed
+  optimizer = optax.adam(recipe.learning_rate)
 
   @jax.jit
   def step(state, batch):
@@ -294,6 +295,24 @@ def test_a_run_begun_before_there_was_a_dtype_goes_on_in_float32(made, tmp_path)
   with pytest.raises(UserError, match='was begun with dtype=float32, not mixed'):
     run(made, tmp_path / 'run', '--dtype=mixed')
   assert run(made, tmp_path / 'run') == 0
+
+
+def test_flags_change_the_recipe():
+  f = flags.FlagValues()
+  program.define_flags(f)
+  needed = ['--network=shape', '--data=D', '--workdir=W']
+  f(['program', *needed, '--recipe=release', '--learning_rate=0.5', '--schedule=cosine'])
+  recipe = program.make_recipe(f)
+  assert recipe == RELEASE._replace(learning_rate=0.5, schedule=cosine)
+  f(['program', '--mirror', '--shape_loss=cross_entropy'])
+  recipe = program.make_recipe(f)
+  assert recipe.mirror and recipe.shape_loss is losses.cross_entropy
+
+
+def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
+  run(made, tmp_path / 'run', '--recipe=best', epochs=1)
+  with pytest.raises(UserError, match='was begun with epochs=1, not 2'):
+    run(made, tmp_path / 'run', '--recipe=best', epochs=2)
 
 
 @pytest.mark.parametrize('dtype', program.DTYPES)
