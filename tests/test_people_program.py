@@ -1,0 +1,125 @@
+"""The study of people, on small networks with random parameters."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+import synthetic
+from absl import flags
+from PIL import Image
+from test_evaluate import save_network
+
+from cvn.dataset import open_dataset
+from cvn.errors import UserError
+from cvn.networks import ColorNetwork, ShapeNetwork
+from experiments import evaluate, protocol
+from experiments import people as program
+
+IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 180, 270)
+
+
+@pytest.fixture(scope='module')
+def given(tmp_path_factory):
+  """The arguments: a data set of people and eggs, and networks trained on people for an epoch."""
+  root = tmp_path_factory.mktemp('people')
+  synthetic.make_dataset(
+    root / 'data',
+    8,
+    splits=('train', 'train', 'test', 'test'),
+    categories=('human', 'egg'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+  )
+  for training, kind, network in (
+    ('msfcel', 'shape', ShapeNetwork),
+    ('blended', 'color', ColorNetwork),
+  ):
+    folder = root / 'work' / 'runs' / f'{training}_human_0'
+    save_network(str(folder), kind, network(IMAGE, GRID))
+    os.rename(folder / 'checkpoints' / '0', folder / 'checkpoints' / '2')
+    config = json.loads((folder / 'config.json').read_text())
+    (folder / 'config.json').write_text(json.dumps(config | {'models': 2, 'batch_size': 1}))
+  return {'data': root / 'data', 'workdir': root / 'work'}
+
+
+@pytest.fixture
+def commands(monkeypatch):
+  """The programs that were run; evaluations do run, within this process."""
+  ran = []
+
+  def run_program(folder, name, **named):
+    del folder
+    ran.append(name)
+    f = flags.FlagValues()
+    evaluate.define_flags(f)
+    f(['program', *(f'--{k}={v}' for k, v in named.items())])
+    assert name == 'experiments.evaluate' and evaluate.run(f) == 0
+
+  monkeypatch.setattr(protocol, 'run_program', run_program)
+  return ran
+
+
+def parse(**named):
+  f = flags.FlagValues()
+  program.define_flags(f)
+  f(['program', '--quick', *(f'--{k}={v}' for k, v in named.items())])
+  return f
+
+
+def run(**named):
+  program.run(parse(**named))
+
+
+def test_the_whole_study(given, commands, capsys):
+  run(t1=1, people=2, **given)
+  told = capsys.readouterr().out
+  assert '2 test models (human), 4 views each' in told
+  assert 'msfcel_human_0: 1 epochs of 2 models, 2 steps of 1' in told
+  folder = given['workdir']
+  with open(folder / 'tables' / 'people.json') as f:
+    found = json.load(f)
+  with open(folder / 'scores' / 'blended_0.2_human_0_test.json') as f:
+    report = json.load(f)['networks']
+  assert found['models'] == ['m2', 'm6']  # people for testing
+  for azimuth in map(str, AZIMUTHS):
+    iou = report['by_view'][azimuth]['iou']
+    assert found['by_azimuth'][azimuth]['value'] == pytest.approx(iou)
+    assert f'| {azimuth}° | {iou:.3f} [' in told
+  assert found['iou']['value'] == pytest.approx(report['total']['iou'])
+  assert sum(g['views'] for g in found['by_complexity']) == 8
+  assert sum(found['colors']['views_by_complexity']) == 16  # people of all splits, no eggs
+  assert found['colors']['t1'] == 1 and found['epochs'] == 500 and found['quick']
+  assert {s['model'] for s in found['results']['shown']} == {'m2', 'm6'}
+  for name in program.FIGURES:
+    pixels = np.asarray(Image.open(folder / 'figures' / f'people_{name}.png').convert('RGB'))
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20
+  before = len(commands)
+  run(t1=1, people=2, **given)
+  assert len(commands) == before  # all is there
+
+
+def test_figures_show_the_same_people_for_a_seed(tmp_path, given, commands):
+  dataset = open_dataset(str(given['data']))
+  pictures, shown = [], []
+  for n, seed in enumerate((3, 3, 4)):
+    path = tmp_path / f'{n}.png'
+    f = parse(people=1, figure_seed=seed, **given)
+    shown.append(program.draw_results(str(path), f, dataset, 'human', 'human')['shown'])
+    pictures.append(path.read_bytes())
+  assert pictures[0] == pictures[1] != pictures[2]
+  assert shown[0] == shown[1] != shown[2]
+
+
+def test_bad_input_is_named(tmp_path, given):
+  with pytest.raises(UserError, match='no colour has t1 = 100000 pixels'):
+    run(t1=100000, **given)
+  with pytest.raises(UserError, match="no category 'car'"):
+    run(category='car', **given)
+  for name, value in (('category', 'human,egg'), ('seeds', ''), ('t1', 0), ('t2', -1)):
+    with pytest.raises(flags.Error, match=name):
+      run(**given | {name: value})
+  synthetic.make_dataset(tmp_path / 'few', 1, azimuths=(0, 90), image_size=IMAGE, grid_size=GRID)
+  with pytest.raises(UserError, match='no views from 180°, 270°'):
+    run(**given | {'data': tmp_path / 'few'})
