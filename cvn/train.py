@@ -6,7 +6,7 @@ changes goes out.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -102,6 +102,38 @@ def _compile_step(objective, recipe, total):
     return TrainState(params, running, opt_state, state.step + 1), found
 
   return jax.jit(step, donate_argnums=0)
+
+
+def make_statistics(
+  kind: str, *, mixed: bool = False
+) -> Callable[[TrainState, Iterable[Any]], TrainState]:
+  """Statistics taken anew, instead of running ones: a mean over batches, with the last parameters.
+
+  Running statistics are of the parameters of many steps. Where these move fast they fit none of
+  them, and a network that does well on batches of its own does badly on single views.
+
+  Args:
+    kind: of network.
+    mixed: as of `make_step`.
+
+  Returns:
+    renew(state, batches) -> the state with the mean of the batches' statistics.
+  """
+  network = NETWORKS[kind].clone(mixed=mixed)
+
+  @jax.jit
+  def statistics(params, batch_stats, image):
+    variables = {'params': params, 'batch_stats': batch_stats}
+    return network.apply(variables, image, train=True, mutable='batch_stats')[1]['batch_stats']
+
+  def renew(state, batches):
+    total, count = None, 0
+    for batch in batches:
+      found = statistics(state.params, state.batch_stats, batch.image)
+      total, count = found if total is None else jax.tree.map(jnp.add, total, found), count + 1
+    return state._replace(batch_stats=jax.tree.map(lambda x: x / count, total))
+
+  return renew
 
 
 def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str, jax.Array]]:

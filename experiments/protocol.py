@@ -96,6 +96,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('epochs', 500, 'Of each training.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
+  flags.DEFINE_integer('fresh_statistics', 0, 'As of experiments.train.', lower_bound=0, **own)
   flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
   flags.DEFINE_enum(
     'threshold',
@@ -146,6 +147,7 @@ def train(f: flags.FlagValues, training: str, category: str, seed: str) -> str:
     'batch_size': f.batch_size,
     'seed': seed,
     'dtype': f.dtype,
+    'fresh_statistics': f.fresh_statistics,
     'validate_every': max(1, epochs // VALIDATIONS),
     'validation_views': VALIDATION_VIEWS,
   }

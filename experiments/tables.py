@@ -164,7 +164,10 @@ def path_of(f: flags.FlagValues, name: str) -> str:
 def describe(f: flags.FlagValues) -> dict[str, Any]:
   """What a reader must know of the numbers."""
   names = ('data', 'models', 'epochs', 'batch_size', 'learning_rate', 'dtype', 'seeds')
-  return {n: f[n].value for n in (*names, 'train_source', 'source', 'threshold', 'quick')}
+  return {
+    n: f[n].value
+    for n in (*names, 'fresh_statistics', 'train_source', 'source', 'threshold', 'quick')
+  }
 
 
 def _cell(mean, error, published, form):

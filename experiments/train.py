@@ -91,6 +91,14 @@ def define_flags(f: flags.FlagValues) -> None:
     'Whether half of the views are mirrored, each with its object, instead of as the recipe says.',
     **own,
   )
+  flags.DEFINE_integer(
+    'fresh_statistics',
+    0,
+    'Training batches over which the statistics of the normalisations are taken anew for'
+    ' validation and at the end; 0 keeps running ones. Small batches and short trainings need it.',
+    lower_bound=0,
+    **own,
+  )
   flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
   flags.DEFINE_integer('log_every', 10, 'Steps between lines of the log.', lower_bound=1, **own)
   flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
@@ -123,6 +131,7 @@ def run(f: flags.FlagValues) -> int:
   put_batch, put_state = make_placement(f.batch_size)
   state = put_state(train.create_state(jax.random.key(f.seed), f.network))
   evaluate = train.make_eval(f.network, recipe)
+  renew = train.make_statistics(f.network, mixed=f.dtype == 'mixed')
 
   iterator = data.iterate(batches)
   window = []  # metrics of the steps since the last line of the log
@@ -168,13 +177,19 @@ def run(f: flags.FlagValues) -> int:
         journal.write_line(log, step, epoch, mean(fetch(window, step)))
         journal.write_scalar(log, step, 'train/images_per_second', bar.format_dict['rate'] or 0)
         window = []
-      if len(validation) and (step == total or step % (f.validate_every * len(batches)) == 0):
+      validates = step == total or step % (f.validate_every * len(batches)) == 0
+      used = state
+      if f.fresh_statistics and validates:
+        used = renew(state, (put_batch(batches[n]) for n in range(f.fresh_statistics)))
+      if len(validation) and validates:
         held_out = data.evaluation_batches(read, dataset, validation, batch_size=f.batch_size)
         with contextlib.closing(data.iterate(held_out, num_epochs=1)) as views:
-          found = mean(jax.device_get([evaluate(state, put_batch(b)) for b in views]))
+          found = mean(jax.device_get([evaluate(used, put_batch(b)) for b in views]))
         journal.write_line(log, step, epoch, {'validation': found})
-        picture = draw(f.network, state, dataset, validation[:: -(-len(validation) // PICTURES)])
+        picture = draw(f.network, used, dataset, validation[:: -(-len(validation) // PICTURES)])
         journal.write_picture(log, step, 'validation/views', picture)
+      if step == total:
+        state = used
       if step == total or caught or time.monotonic() - saved_at >= 60 * f.checkpoint_every:
         window = fetch(window, step)  # first, for it refuses to save what is not finite
         checkpoint.save(f.workdir, state, {'iterator': iterator.get_state(), 'window': window})
@@ -206,6 +221,8 @@ def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
   options = {'samples': samples, 'mixed': f.dtype == 'mixed'}
   if f.heads == 'dense':
     return train.make_step(f.network, recipe, **options)
+  if f.fresh_statistics:
+    raise UserError(f'--heads={f.heads} has statistics of its own: no --fresh_statistics')
   if f.network != 'color':
     raise UserError(
       f'--heads={f.heads} is for --network=color: the loss of shapes reads all voxels'
@@ -237,7 +254,7 @@ def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: i
   """All that a resumed run must share with the one it continues."""
   names = (
     *('network', 'recipe', 'shape_loss', 'dtype', 'heads', 'category', 'source'),
-    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'seed'),
+    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'fresh_statistics', 'seed'),
   )
   config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
   # A schedule that ends with the training is another one where that is longer.

@@ -138,6 +138,27 @@ def test_running_statistics_follow_the_decay():
   assert (variance > 1e-3).all()
 
 
+def test_fresh_statistics_are_the_mean_of_the_batches_own():
+  """A step with nothing to remember has the batch's statistics, times what its decay leaves."""
+  state = train.create_state(jax.random.key(0), 'shape')
+  state = state._replace(batch_stats=jax.tree.map(jnp.zeros_like, state.batch_stats))
+  params = jax.tree.map(np.asarray, state.params)
+  batches = [make_batch(seed) for seed in (0, 1)]
+  renewed = train.make_statistics('shape')(state, batches)
+  kept = 0.5 ** (len(batches[0].image) / 60)
+  own = [
+    make_step('shape', PAPER)(jax.tree.map(jnp.copy, state), b)[0].batch_stats for b in batches
+  ]
+  jax.tree.map(
+    lambda found, a, b: np.testing.assert_allclose(
+      found, (a + b) / 2 / (1 - kept), rtol=1e-4, atol=1e-5
+    ),
+    renewed.batch_stats,
+    *own,
+  )
+  jax.tree.map(np.testing.assert_array_equal, renewed.params, params)
+
+
 def test_release_adds_the_kernel_penalty():
   batch = make_batch()
   state = train.create_state(jax.random.key(0), 'shape')

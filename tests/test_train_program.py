@@ -297,6 +297,31 @@ def test_a_run_begun_before_there_was_a_dtype_goes_on_in_float32(made, tmp_path)
   assert run(made, tmp_path / 'run') == 0
 
 
+def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path, monkeypatch):
+  renewed = []
+
+  def make_statistics(kind, *, mixed):
+    del kind, mixed
+
+    def renew(state, batches):
+      images = np.concatenate([b.image for b in batches])
+      renewed.append(len(images))
+      return state._replace(batch_stats={'mean': images.mean((0, 1, 2))})
+
+    return renew
+
+  monkeypatch.setattr(program.train, 'make_statistics', make_statistics)
+  run(made, tmp_path / 'run', '--fresh_statistics=3', '--validate_every=1', epochs=2)
+  assert renewed == [6, 6]
+  dataset = program.open_dataset(str(made))
+  batches = data.training_batches(
+    data.read_shape, dataset, data.select_rows(dataset, 'train'), batch_size=2, seed=0
+  )
+  _, variables = checkpoint.load_network(str(tmp_path / 'run'), 'shape')
+  expected = np.concatenate([batches[n].image for n in range(3)]).mean((0, 1, 2))
+  np.testing.assert_allclose(variables['batch_stats']['mean'], expected, rtol=1e-5)
+
+
 def test_flags_change_the_recipe():
   f = flags.FlagValues()
   program.define_flags(f)
