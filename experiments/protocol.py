@@ -10,6 +10,7 @@ The defaults are the paper's protocol: one model a category, 500 epochs, batches
 trains one epoch, to see whether all works.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -54,10 +55,12 @@ class Method(NamedTuple):
   title: str
   shape: str  # the training whose network gives shapes
   color: str  # likewise colours; '' for methods of shapes alone
-  alpha: float = blending.ALPHA
+  alpha: float | None = blending.ALPHA  # None: chosen on the split val
   threshold: str = 'paper'  # or 'val', where the paper's program has none
+  flip: bool = False  # whether means with the mirrored view are taken
 
 
+ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)
 METHODS = {
   'r2n2': Method('Adapted R2N2', 'r2n2', 'r2n2', threshold='val'),
   'cross_entropy': Method('Ours (cross-entropy)', 'cross_entropy', ''),
@@ -65,12 +68,15 @@ METHODS = {
   'msfcel_release': Method("Ours (MSFCEL), authors' recipe", 'msfcel_release', ''),
   'regression': Method('Our baseline (clr. reg.)', 'msfcel', 'regression'),
   'flow': Method('Our baseline (flw.)', 'msfcel', 'flow'),
-  **{
-    f'blended_{a:g}': Method(f'Ours (α = {a:g})', 'msfcel', 'blended', a)
-    for a in (0.2, 0.4, 0.6, 0.8, 1.0)
-  },
+  **{f'blended_{a:g}': Method(f'Ours (α = {a:g})', 'msfcel', 'blended', a) for a in ALPHAS},
   'blended_release': Method("Ours (α = 0.2), authors' recipe", 'msfcel_release', 'blended_release'),
   'unified': Method('Unified network', 'unified', 'unified'),
+  # What goes beyond the paper, one thing after the other.
+  'plus_threshold': Method('+ threshold chosen on val', 'msfcel', 'blended', threshold='val'),
+  'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', None, 'val'),
+  'plus_mirror': Method('+ mirrored samples', 'msfcel_mirror', 'blended_mirror', None, 'val'),
+  'plus_cosine': Method('+ cosine schedule', 'msfcel_best', 'blended_best', None, 'val'),
+  'best': Method('+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', True),
 }
 
 
@@ -165,6 +171,7 @@ def evaluate(
   *,
   split: str = 'test',
   threshold: str | None = None,
+  alpha: float | None = None,
 ) -> dict[str, Any]:
   """Evaluates a method on held-out models, training what it needs.
 
@@ -175,6 +182,7 @@ def evaluate(
     seed: of everything random.
     split: to judge it on.
     threshold: 'paper' or 'val', instead of what --threshold says.
+    alpha: of the blend, instead of the method's own.
 
   Returns:
     The report that experiments.evaluate writes.
@@ -184,14 +192,22 @@ def evaluate(
   workdirs = {'shape': train(f, own.shape, category, seed)}
   if own.color:
     workdirs['color'] = train(f, own.color, category, seed)
-  name = '_'.join([method, category, seed, *f.source, split, *(['val'] if chosen else [])])
+  kept = {'split': split, 'threshold': threshold}
+  if own.color and (alpha or own.alpha) is None:
+    on_val = {
+      a: evaluate(f, method, category, seed, **kept | {'split': 'val'}, alpha=a) for a in ALPHAS
+    }
+    alpha = max(ALPHAS, key=lambda a: on_val[a]['networks']['total']['psnr_rgb'] or -math.inf)
+  given = [] if alpha is None else [f'{alpha:g}']
+  name = '_'.join([method, *given, category, seed, *f.source, split, *(['val'] if chosen else [])])
   report = os.path.join(f.workdir, 'scores', f'{name}.json')
   asked = {
     'data': f.data,
     'split': split,
     'category': ','.join(f.category) if category == ALL else category,
     'source': ','.join(f.source),
-    'alpha': own.alpha,
+    'alpha': alpha or own.alpha,
+    'flip': str(own.flip).lower(),
     **({'threshold': 'val'} if chosen else {}),
     **workdirs,
   }
@@ -206,6 +222,7 @@ class Networks(NamedTuple):
   shape: scoring.Network
   color: scoring.Network
   threshold: float  # from which score on a voxel is occupied
+  alpha: float  # of the blend
 
 
 def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks:
@@ -215,7 +232,7 @@ def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks
   """
   own = METHODS[method]
   dataset = open_dataset(f.data)
-  threshold = evaluate(f, method, category, seed)['threshold']
+  report = evaluate(f, method, category, seed)
   shape, color = (
     scoring.load(train(f, training, category, seed), kinds, dataset)
     for training, kinds in (
@@ -223,7 +240,7 @@ def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks
       (own.color, methods.COLOR_KINDS),
     )
   )
-  return Networks(shape, color, threshold)
+  return Networks(shape, color, report['threshold'], report['alpha'])
 
 
 def make_predictor(
@@ -233,12 +250,13 @@ def make_predictor(
 
   Arguments as of `load`.
   """
-  shape, color, threshold = load(f, method, category, seed)
+  shape, color, threshold, alpha = load(f, method, category, seed)
+  flip = METHODS[method].flip
   size = open_dataset(f.data).manifest.grid_size
 
   def predict(views):
-    scores = methods.score(shape.kind, shape.variables, views, grid_size=size)
-    options = {'alpha': METHODS[method].alpha, 'threshold': threshold, 'grid_size': size}
+    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
+    options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
     colors = methods.colors(color.kind, color.variables, views, **options)
     return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 

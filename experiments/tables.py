@@ -35,7 +35,13 @@ class Row(NamedTuple):
 
 
 def collect(
-  f: flags.FlagValues, method: str, metric: str, *, who: str = 'networks', threshold: str = ''
+  f: flags.FlagValues,
+  method: str,
+  metric: str,
+  *,
+  who: str = 'networks',
+  split: str = 'test',
+  threshold: str | None = None,
 ) -> dict[str, Scores]:
   """A method's numbers by category; trains and evaluates what is missing.
 
@@ -44,13 +50,14 @@ def collect(
     method: a key of `protocol.METHODS`.
     metric: a key of `scoring.METRICS`.
     who: 'networks', or 'baselines' for the trivial ones beside the method.
+    split: of the models.
     threshold: 'paper' or 'val', instead of what --threshold says.
   """
   found: dict[str, list[dict[str, float]]] = {}
   wanted = protocol.categories(f)
   for trained_on, judged in protocol.trained_for(f, wanted):
     for seed in f.seeds:
-      report = protocol.evaluate(f, method, trained_on, seed, threshold=threshold)
+      report = protocol.evaluate(f, method, trained_on, seed, split=split, threshold=threshold)
       for category in judged:
         means = {
           name: _mean(model[metric])

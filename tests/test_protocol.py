@@ -36,7 +36,8 @@ def commands(monkeypatch):
     else:
       os.makedirs(os.path.dirname(named['json']), exist_ok=True)
       with open(named['json'], 'w') as out:
-        json.dump({'threshold': 0.3}, out)
+        total = {'psnr_rgb': 10 - abs(named['alpha'] - 0.6)}
+        json.dump({'threshold': 0.3, 'alpha': named['alpha'], 'networks': {'total': total}}, out)
 
   monkeypatch.setattr(protocol, 'run_program', run_program)
   return ran
@@ -95,6 +96,19 @@ def test_the_joint_baseline_always_has_its_threshold_chosen(tmp_path, commands):
   assert {n['epochs'] for p, n in commands if p == 'experiments.train'} == {1}
 
 
+def test_alpha_is_chosen_on_val_where_a_method_leaves_it_open(tmp_path, commands):
+  f = parse('--data=D', f'--workdir={tmp_path}')
+  assert protocol.evaluate(f, 'best', 'car', '0')['alpha'] == 0.6
+  asked = [named for program, named in commands if program == 'experiments.evaluate']
+  assert [(a['split'], a['alpha']) for a in asked] == [
+    *(('val', a) for a in protocol.ALPHAS),
+    ('test', 0.6),
+  ]
+  assert {(a['threshold'], a['flip']) for a in asked} == {('val', 'true')}
+  protocol.evaluate(f, 'best', 'car', '0')
+  assert len(commands) == 2 + 6
+
+
 def test_categories_come_in_the_papers_order(tmp_path):
   made = synthetic.make_dataset(
     tmp_path / 'data', 3, categories=('zebra', 'chair', 'car'), image_size=32, grid_size=16
@@ -109,7 +123,7 @@ def test_categories_come_in_the_papers_order(tmp_path):
 def test_a_predictor_makes_what_is_evaluated(tmp_path, monkeypatch):
   made = synthetic.make_dataset(tmp_path / 'data', 2, image_size=32, grid_size=16)
   monkeypatch.setattr(protocol, 'train', lambda f, training, category, seed: training)
-  monkeypatch.setattr(protocol, 'evaluate', lambda *_: {'threshold': 0.25})
+  monkeypatch.setattr(protocol, 'evaluate', lambda *_: {'threshold': 0.25, 'alpha': 0.6})
   monkeypatch.setattr(
     protocol.scoring, 'load', lambda workdir, kinds, _: protocol.scoring.Network(workdir, kinds)
   )
@@ -128,4 +142,4 @@ def test_a_predictor_makes_what_is_evaluated(tmp_path, monkeypatch):
   first, second = predict(np.zeros((2, 32, 32, 4), np.float32))
   np.testing.assert_array_equal(first.occupancy, score[0] >= 0.25)
   np.testing.assert_array_equal(second.color, color[1])
-  assert told == [('blended', {'alpha': 0.6, 'threshold': 0.25, 'grid_size': 16})]
+  assert told == [('blended', {'alpha': 0.6, 'threshold': 0.25, 'flip': False, 'grid_size': 16})]

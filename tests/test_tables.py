@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from absl import flags
 
-from experiments import table_iou, table_psnr, tables
+from experiments import ablation, table_iou, table_psnr, tables
 from experiments.tables import AVERAGE, Row, Scores
 
 CAR = Scores(('a', 'b', 'c'), np.array([[0.1, 0.2, 0.3], [0.3, 0.4, 0.5]]))
@@ -86,7 +86,7 @@ def evaluated(monkeypatch):
   """What is evaluated; methods score the better the longer their names."""
   asked = []
 
-  def evaluate(f, method, category, seed, *, split='test', threshold=''):
+  def evaluate(f, method, category, seed, *, split='test', threshold=None):
     asked.append((method, category, seed, split, threshold))
     return report(len(method))
 
@@ -117,6 +117,21 @@ def test_programs_print_and_write_the_tables(program, name, arguments, evaluated
     assert '| Ours (α = 0.2) | 11.25 ± 0.00 [10.881] |' in told
     assert table['psnr_ycbcr']['rows'][1]['categories']['chair']['published'] == 22.750
     assert table['epochs'] == 500
+
+
+def test_the_ablation_tells_gains_on_val_and_test(evaluated, tmp_path, capsys):
+  f = flags.FlagValues()
+  ablation.define_flags(f)
+  f(['program', '--data=D', f'--workdir={tmp_path}', '--models=all'])
+  ablation.run(f)
+  told = capsys.readouterr().out
+  assert {s for *_, s, _ in evaluated} == {'val', 'test'}
+  # The fake numbers are the length of a method's name, plus a quarter.
+  assert '| paper | 11.250 | 11.25 | 11.250 | 11.25 |' in told
+  assert '| + threshold chosen on val | 14.250 (+27%) | 14.25 (+3.00 dB) |' in told
+  assert 'IoU: best - paper: -7.000 ± 0.000 over 3 models, above in 0%' in told
+  table = json.loads((tmp_path / 'tables' / 'ablation.json').read_text())
+  assert len(table['test']['psnr_rgb']) == len(ablation.STEPS)
 
 
 def test_a_model_for_each_category_is_judged_by_its_own(evaluated, tmp_path):

@@ -1,0 +1,84 @@
+r"""What goes beyond the paper, one thing after the other, and what each brings.
+
+python -m experiments.ablation --data=DIR --workdir=DIR [--models=all] [--epochs=...] [--quick]
+
+The first line is the recipe `paper` with the threshold 0.8 and alpha = 0.2, the last one the recipe
+`best` as it is meant to be used; each line adds one thing to those above it. Thresholds and alphas
+are chosen on the split val, and so is what stays in the recipe; the split test is only told.
+Numbers go to WORKDIR/tables/ablation.json.
+"""
+
+import numpy as np
+from absl import flags
+
+from cvn import environment, errors
+from experiments import protocol, tables
+from experiments.tables import Row
+
+STEPS = ('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_mirror', 'plus_cosine', 'best')
+METRICS = {'iou': ('IoU', '.3f'), 'psnr_rgb': ('PSNR RGB', '.2f')}
+SPLITS = ('val', 'test')
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The program's flags. Not at import: there the names of several programs would collide."""
+  protocol.define_flags(f)
+
+
+def main(_) -> None:
+  run(flags.FLAGS)
+
+
+def run(f: flags.FlagValues) -> None:
+  """Makes the table as the flags say."""
+  rows = {
+    (split, metric): [
+      Row(
+        'paper' if m == STEPS[0] else protocol.METHODS[m].title,
+        tables.collect(f, m, metric, split=split),
+        {},
+      )
+      for m in STEPS
+    ]
+    for split in SPLITS
+    for metric in METRICS
+  }
+  print(f'\n{to_markdown(rows)}\n')
+  found = {
+    metric: tables.compare(
+      rows['test', metric][-1]._replace(title='best'), rows['test', metric][0], form
+    )
+    for metric, (_, form) in METRICS.items()
+  }
+  print('\n'.join(f'{METRICS[k][0]}: {line}' for k, line in found.items()))
+  path = tables.path_of(f, 'ablation')
+  results = {split: {m: tables.to_json(rows[split, m]) for m in METRICS} for split in SPLITS}
+  tables.write(path, tables.describe(f) | {'comparisons': found} | results)
+  print(f'\n{path}')
+
+
+def to_markdown(rows: dict[tuple[str, str], list[Row]]) -> str:
+  """A line a step: the mean over models, and the gain over the first line."""
+  heads = [f'{METRICS[m][0]}, {split}' for split, m in rows]
+  lines = ['| | ' + ' | '.join(heads) + ' |', '| --- ' * (len(heads) + 1) + '|']
+  for step, _ in enumerate(STEPS):
+    cells = []
+    for (_, metric), steps in rows.items():
+      value, first = (mean_over_models(steps[n]) for n in (step, 0))
+      form = METRICS[metric][1]
+      gain = f'{value / first - 1:+.0%}' if metric == 'iou' else f'{value - first:+.2f} dB'
+      cells.append(f'{value:{form}}' + (f' ({gain})' if step else ''))
+    title = next(iter(rows.values()))[step].title
+    lines.append(f'| {title} | ' + ' | '.join(cells) + ' |')
+  return '\n'.join(lines)
+
+
+def mean_over_models(row: Row) -> float:
+  """The mean over all models of all categories, and over seeds."""
+  return float(np.nanmean(np.concatenate([s.values.ravel() for s in row.scores.values()])))
+
+
+if __name__ == '__main__':
+  environment.prepare()
+  define_flags(flags.FLAGS)
+  errors.run(main)
