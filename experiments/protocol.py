@@ -28,7 +28,7 @@ from experiments.train import DTYPES
 
 ALL = 'all'  # in the place of a category: one model for all of them
 PAPER_CATEGORIES = ('car', 'table', 'chair', 'guitar')  # in the order of the paper's tables
-VALIDATIONS = 6  # in the course of a training
+VALIDATIONS = 4  # in the course of a training
 VALIDATION_VIEWS = 60
 
 # The flags of experiments.train that make the paper's networks, and each recipe's.
