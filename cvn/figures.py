@@ -132,6 +132,29 @@ def enlarge(image, size: int) -> np.ndarray:
   return np.asarray(Image.fromarray(over(image)).resize((size, size), Image.Resampling.NEAREST))
 
 
+def trim(rows: Sequence[Sequence[np.ndarray]], *, margin: int = 4) -> list[list[np.ndarray]]:
+  """Cuts off the white that a whole row has above and below, and a whole column left and right.
+
+  Args:
+    rows: uint8 images [H, W, 3] of one size; rows of one length.
+    margin: pixels of white that stay.
+  """
+  ink = np.any(np.array(rows) < 255, axis=-1)  # [rows, columns, H, W]
+
+  def extent(marked):
+    places = np.flatnonzero(marked)
+    if len(places) == 0:
+      return slice(None)
+    return slice(max(0, places[0] - margin), places[-1] + 1 + margin)
+
+  heights = [extent(x) for x in ink.any((1, 3))]
+  widths = [extent(x) for x in ink.any((0, 2))]
+  return [
+    [x[h, w] for x, w in zip(row, widths, strict=True)]
+    for row, h in zip(rows, heights, strict=True)
+  ]
+
+
 def stack(images: Sequence[np.ndarray]) -> np.ndarray:
   """uint8 images [H, W, 3] of any widths, one below the other, at the left of a white ground."""
   canvas = np.empty((sum(len(x) for x in images), max(x.shape[1] for x in images), 3), np.uint8)

@@ -174,3 +174,26 @@ def test_text_is_broken_into_lines_that_fit():
   assert (broken[:, -4:] == 255).all() and broken.min() < 100
   assert len(figures.draw_text('two\nlines', 400)) > len(one)
   assert len(figures.draw_text('onelongword', 10)) == len(one)
+
+
+def test_trimming_keeps_rows_and_columns_aligned():
+  def dot(row, column):
+    image = np.full((20, 30, 3), 255, np.uint8)
+    image[row, column] = 0
+    return image
+
+  rows = figures.trim([[dot(8, 10), dot(11, 20)], [dot(5, 12), dot(5, 20)]], margin=2)
+  assert [[x.shape for x in row] for row in rows] == [
+    [(8, 7, 3), (8, 5, 3)],
+    [(5, 7, 3), (5, 5, 3)],
+  ]
+  assert [[tuple(np.argwhere(x[..., 0] == 0)[0]) for x in row] for row in rows] == [
+    [(2, 2), (5, 2)],
+    [(2, 4), (2, 2)],
+  ]
+
+
+def test_trimming_leaves_white_and_full_images():
+  white, black = (np.full((4, 4, 3), v, np.uint8) for v in (255, 0))
+  for image in (white, black):
+    np.testing.assert_array_equal(figures.trim([[image]])[0][0], image)
