@@ -240,3 +240,44 @@ def test_no_view_counts_for_more_than_rounding_allows():
   ceiling = -10 * np.log10(1 / 12 / 255**2)
   np.testing.assert_allclose(found['psnr_rgb'], [20, ceiling, np.nan])
   np.testing.assert_allclose(found['psnr_ycbcr'], [25, ceiling, np.nan])
+
+
+def test_a_threshold_is_chosen_on_val_or_given(tmp_path, given, capsys):
+  """The chosen one is the best of those tried, on the models that the split val has."""
+  data = synthetic.make_dataset(
+    tmp_path / 'data',
+    4,
+    splits=('train', 'val', 'val', 'test'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+  ).root
+  shape = {'data': data, 'shape': given['shape']}
+  chosen = _evaluate(tmp_path, threshold='val', **shape)['threshold']
+  scores = {
+    t: _evaluate(tmp_path, split='val', threshold=t, **shape)['networks']['total']['iou']
+    for t in scoring.PROBABILITIES
+  }
+  assert scores[chosen] == pytest.approx(max(scores.values()))
+  assert f'occupied: what scores above {chosen:g}' in capsys.readouterr().out
+  with pytest.raises(UserError, match='no finished model in the split val: give a --threshold'):
+    _run(threshold='val', **given)
+  with pytest.raises(flags.IllegalFlagValueError, match='must be a number'):
+    _run(threshold='high', **given)
+
+
+def test_the_mirrored_view_may_count_too(tmp_path, given):
+  plain = _evaluate(tmp_path, **given)
+  flipped = _evaluate(tmp_path, '--flip', **given)
+  assert flipped['flip'] and not plain['flip']
+  assert flipped['networks']['total']['psnr_rgb'] != plain['networks']['total']['psnr_rgb']
+
+
+def test_models_of_one_source(tmp_path, given):
+  with pytest.raises(UserError, match="no source 'shapenet'; it has synthetic"):
+    _run('--source=shapenet', **given)
+  report = _evaluate(tmp_path, '--source=synthetic', **given)
+  models = report['networks']['by_model']
+  assert len(models) == report['models'] and {m['source'] for m in models.values()} == {'synthetic'}
+  means = [np.mean(m['iou']) for m in models.values()]
+  assert np.mean(means) == pytest.approx(report['networks']['total']['iou'])

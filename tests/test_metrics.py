@@ -92,3 +92,13 @@ def test_equally_near_voxels_count_in_row_major_order():
   np.testing.assert_array_equal(
     metrics.aligned_colors(predicted, true), true.color[true.occupancy][squared.argmin(1)]
   )
+
+
+def test_iou_at_many_thresholds_is_the_iou_at_each():
+  rng = np.random.default_rng(3)
+  score, true = rng.random((5, 5, 5)).astype(np.float32), rng.random((5, 5, 5)) > 0.7
+  thresholds = np.array([0.0, 0.3, float(score[0, 0, 0]), 2.0])
+  expected = [metrics.iou(score > t, true) for t in sorted(thresholds)]
+  np.testing.assert_allclose(metrics.iou_at(score, true, sorted(thresholds)), expected)
+  nothing = np.zeros_like(true)
+  np.testing.assert_array_equal(metrics.iou_at(score, nothing, [-1.0, 2.0]), [0, 1])
