@@ -1,0 +1,64 @@
+"""A user study without networks: each method "reconstructs" a box of a colour of its own."""
+
+import numpy as np
+import synthetic
+from absl import flags
+
+from cvn.grid import ColoredVoxels
+from experiments import study_shapes, user_study
+
+COLORS = {'blended_0.2': (0.9, 0.2, 0.2), 'regression': (0.2, 0.9, 0.2), 'flow': (0.2, 0.2, 0.9)}
+SIZE = 48  # pixels of drawings
+GRID = 16
+
+
+def make_box(method: str) -> ColoredVoxels:
+  """[16, 16, 16] voxels."""
+  box = ColoredVoxels(np.zeros((GRID,) * 3, bool), np.zeros((GRID,) * 3 + (3,)))
+  box.occupancy[4:12, 3:13, 4:12] = True
+  box.color[:] = COLORS[method]
+  return box
+
+
+def make_data(tmp_path):
+  """Test models: 3 chairs and 2 balls; 1 chair to train on."""
+  return synthetic.make_dataset(
+    tmp_path / 'data',
+    6,
+    splits=('test', 'test', 'test', 'test', 'train', 'test'),
+    categories=('chair', 'ball', 'chair', 'ball', 'chair', 'chair'),
+    image_size=32,
+    grid_size=GRID,
+  )
+
+
+def parse(define_flags, tmp_path, *more: str) -> flags.FlagValues:
+  """A program's flags."""
+  f = flags.FlagValues()
+  define_flags(f)
+  f(['program', f'--data={tmp_path / "data"}', f'--workdir={tmp_path / "work"}', *more])
+  return f
+
+
+def without_networks(monkeypatch) -> list:
+  """Makes predictors of boxes; returns the list that (method, trained on, seed) are added to."""
+  asked = []
+
+  def make_predictor(f, method, category, seed):
+    asked.append((method, category, seed))
+    return lambda views: [make_box(method)] * len(views)
+
+  monkeypatch.setattr(study_shapes.protocol, 'make_predictor', make_predictor)
+  return asked
+
+
+def make_study(tmp_path, monkeypatch, *more: str) -> str:
+  """Runs experiments.user_study; returns its folder."""
+  without_networks(monkeypatch)
+  make_data(tmp_path)
+  folder = tmp_path / 'study'
+  f = parse(
+    user_study.define_flags, tmp_path, '--models=all', f'--size={SIZE}', f'--output={folder}', *more
+  )
+  assert user_study.run(f) == 0
+  return str(folder)

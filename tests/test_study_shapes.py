@@ -1,0 +1,113 @@
+"""Which shapes and views are judged, and which networks make results of them."""
+
+import numpy as np
+import pytest
+import studies
+import synthetic
+from absl import flags
+
+from cvn.errors import UserError
+from experiments import protocol, study_shapes
+
+
+def _define(f):
+  protocol.define_flags(f)
+  study_shapes.define_flags(f)
+
+
+def _choose(tmp_path, *more):
+  return study_shapes.choose(studies.parse(_define, tmp_path, *more))
+
+
+def test_shapes_are_held_out_and_as_many_as_asked_for(tmp_path):
+  made = studies.make_data(tmp_path)
+  chosen = _choose(tmp_path, '--shapes=2')
+  assert [s.category for s in chosen] == ['chair', 'chair', 'ball', 'ball']
+  assert len({s.id for s in chosen}) == 4
+  for s in chosen:
+    model = made.manifest.models[s.row]
+    assert (model.id, model.category, model.split) == (s.id, s.category, 'test')
+    assert s.azimuth == made.manifest.azimuths[s.view]
+  assert study_shapes.describe(chosen) == '4 shapes: 2 chair, 2 ball'
+
+
+def test_all_there_are_where_there_are_fewer(tmp_path):
+  studies.make_data(tmp_path)
+  assert study_shapes.describe(_choose(tmp_path)) == '5 shapes: 3 chair, 2 ball'
+  assert study_shapes.describe(_choose(tmp_path, '--category=ball')) == '2 shapes: 2 ball'
+
+
+def test_the_seed_decides(tmp_path):
+  studies.make_data(tmp_path)
+  assert _choose(tmp_path, '--study_seed=3') == _choose(tmp_path, '--study_seed=3')
+  drawn = {tuple(_choose(tmp_path, f'--study_seed={n}', '--shapes=1')) for n in range(8)}
+  assert len(drawn) > 4
+  assert len({s.view for some in drawn for s in some}) > 4
+  assert {s.id for some in drawn for s in some} == {'m0', 'm1', 'm2', 'm3', 'm5'}
+
+
+def test_no_finished_test_model(tmp_path):
+  synthetic.make_dataset(tmp_path / 'data', 2, splits=('train', 'test'), missing=(1,))
+  with pytest.raises(UserError, match='no finished model in the split test'):
+    _choose(tmp_path)
+
+
+@pytest.mark.parametrize(
+  'wrong, message',
+  [
+    ('--against=flow,blended_0.2', 'must not name the method of --ours'),
+    ('--against=msfcel', 'must be different ones of'),  # has no colours
+    ('--against=flow,flow', 'must be different ones of'),
+    ('--against=', 'must be different ones of'),
+    ('--ours=msfcel', 'ours'),
+    ('--seeds=0,1', 'must be one'),
+  ],
+)
+def test_methods_that_cannot_be_compared(tmp_path, wrong, message):
+  with pytest.raises(flags.IllegalFlagValueError, match=message):
+    studies.parse(_define, tmp_path, wrong)
+
+
+def test_each_category_is_reconstructed_by_its_own_networks(tmp_path, monkeypatch):
+  made = studies.make_data(tmp_path)
+  asked = studies.without_networks(monkeypatch)
+  f = studies.parse(_define, tmp_path, '--seeds=7', '--against=flow')
+  shapes = study_shapes.choose(f)
+  found = list(study_shapes.reconstruct(f, shapes))
+  assert [r.shape for r in found] == shapes
+  assert asked == [(m, c, '7') for c in ('chair', 'ball') for m in ('blended_0.2', 'flow')]
+  for results in found:
+    assert list(results.voxels) == ['blended_0.2', 'flow']
+    for method, voxels in results.voxels.items():
+      np.testing.assert_array_equal(voxels.color, studies.make_box(method).color)
+    model = synthetic.make_record(results.shape.row, image_size=32, grid_size=studies.GRID)
+    np.testing.assert_array_equal(results.record.views, model.views)
+    assert made.manifest.models[results.shape.row].category == results.shape.category
+
+
+def test_one_network_for_all_is_loaded_once(tmp_path, monkeypatch):
+  studies.make_data(tmp_path)
+  asked = studies.without_networks(monkeypatch)
+  f = studies.parse(_define, tmp_path, '--models=all')
+  assert len(list(study_shapes.reconstruct(f, study_shapes.choose(f)))) == 5
+  assert asked == [(m, 'all', '0') for m in ('blended_0.2', 'regression', 'flow')]
+
+
+def test_methods_see_the_chosen_view_alone(tmp_path, monkeypatch):
+  studies.make_data(tmp_path)
+  seen = []
+
+  def make_predictor(f, method, category, seed):
+    def predict(views):
+      seen.append(views)
+      return [studies.make_box(method)]
+
+    return predict
+
+  monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
+  f = studies.parse(_define, tmp_path, '--models=all', '--against=flow', '--shapes=1')
+  for results in study_shapes.reconstruct(f, study_shapes.choose(f)):
+    for views in seen:
+      np.testing.assert_allclose(views, results.record.views[[results.shape.view]] / 255, rtol=1e-6)
+    assert len(seen) == 2
+    seen.clear()
