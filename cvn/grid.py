@@ -8,6 +8,8 @@ arrays alike.
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 GRID_SIZE = 64
 PADDING_INDEX = 255  # an index no grid has: scatters and gathers with mode 'drop' / 'fill' skip it
 
@@ -20,6 +22,23 @@ class ColoredVoxels(NamedTuple):
 
   occupancy: Any  # [X, Y, Z] bool
   color: Any  # [X, Y, Z, 3] float in [0, 1], sRGB
+
+
+def to_voxels(index, color, *, size: int = GRID_SIZE) -> ColoredVoxels:
+  """A list of surface voxels as volumes, black where empty.
+
+  Args:
+    index: [S, 3] integer, PADDING_INDEX where there is none.
+    color: [S, 3] in [0, 1].
+    size: of the grid.
+  """
+  index, color = np.asarray(index), np.asarray(color)
+  real = index[:, 0] != PADDING_INDEX
+  at = tuple(index[real].T)
+  voxels = ColoredVoxels(np.zeros((size,) * 3, bool), np.zeros((size,) * 3 + (3,), color.dtype))
+  voxels.occupancy[at] = True
+  voxels.color[at] = color[real]
+  return voxels
 
 
 def index_to_world(index, *, size: int = GRID_SIZE):

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cvn import grid
 from cvn.camera import IMAGE_SIZE
 from cvn.dataset import Dataset, Record, read_record
 from cvn.figures import draw_voxels, flow_color_code, grid_of_images, over
-from cvn.grid import ColoredVoxels
 
 PAIRS = (1, 4)  # views shown beside the voxels from the same side: 30 and 120 degrees
 FLOW_VIEW = 1  # the view whose flow is shown
@@ -54,12 +54,7 @@ def _pictures(dataset: Dataset, record: Record) -> dict[str, np.ndarray]:
   azimuths = dataset.manifest.azimuths
 
   def voxels(values):
-    size = dataset.manifest.grid_size
-    occupancy = np.zeros((size, size, size), bool)
-    color = np.zeros((size, size, size, 3), np.float32)
-    at = tuple(record.surface_index.T)
-    occupancy[at], color[at] = True, values
-    return ColoredVoxels(occupancy, color)
+    return grid.to_voxels(record.surface_index, values, size=dataset.manifest.grid_size)
 
   def view(v):
     image = over(record.views[v], GROUND)

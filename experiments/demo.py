@@ -15,11 +15,12 @@ import numpy as np
 from absl import flags
 from PIL import Image
 
-from cvn import data, errors, figures, grid
+from cvn import data, errors, figures
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from experiments import demo_page
+from experiments.scoring import to_voxels
 from experiments.stages import read_bytes, read_json, run_program, seconds_of
 
 # Pictures show the object's front at different angles: these views of the data set, in turn.
@@ -159,11 +160,7 @@ def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
   """What the page shows of a picture."""
   stem = os.path.join(models, picture.name)
   record = read_record(dataset, picture.row)
-  at = tuple(record.surface_index.T)
-  size = dataset.manifest.grid_size
-  truth = grid.ColoredVoxels(np.zeros((size,) * 3, bool), np.zeros((size,) * 3 + (3,)))
-  truth.occupancy[at] = True
-  truth.color[at] = record.surface_color / 255
+  truth = to_voxels(record, dataset.manifest.grid_size)
   azimuths = (figures.PANEL_AZIMUTH, *figures.RESULT_AZIMUTHS)
   blank = np.full((192, 192, 3), 255, np.uint8)  # so that the truth stands below the result
   drawn = figures.grid_of_images(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from cvn import checkpoint, methods, metrics, networks
+from cvn import checkpoint, grid, methods, metrics, networks
 from cvn.dataset import Dataset, Record, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
@@ -60,11 +60,7 @@ def load(workdir: str, kinds: Sequence[str], dataset: Dataset) -> Network:
 
 def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
   """A record's surface as a volume."""
-  true = ColoredVoxels(np.zeros((grid_size,) * 3, bool), np.zeros((grid_size,) * 3 + (3,)))
-  at = tuple(record.surface_index.T)
-  true.occupancy[at] = True
-  true.color[at] = record.surface_color / 255
-  return true
+  return grid.to_voxels(record.surface_index, record.surface_color / 255, size=grid_size)
 
 
 def choose_threshold(

@@ -29,11 +29,9 @@ from cvn import (
   data,
   environment,
   errors,
-  figures,
   grid,
   journal,
   losses,
-  methods,
   train,
 )
 from cvn import recipe as recipes
@@ -41,6 +39,7 @@ from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
 from cvn.recipe import RECIPES, Recipe
+from experiments.training_pictures import draw_views
 
 PICTURES = 4  # views drawn at each validation
 SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
@@ -186,7 +185,9 @@ def run(f: flags.FlagValues) -> int:
         with contextlib.closing(data.iterate(held_out, num_epochs=1)) as views:
           found = mean(jax.device_get([evaluate(used, put_batch(b)) for b in views]))
         journal.write_line(log, step, epoch, {'validation': found})
-        picture = draw(f.network, used, dataset, validation[:: -(-len(validation) // PICTURES)])
+        picture = draw_views(
+          f.network, used, dataset, validation[:: -(-len(validation) // PICTURES)]
+        )
         journal.write_picture(log, step, 'validation/views', picture)
       if step == total:
         state = used
@@ -295,41 +296,6 @@ def fetch(window: list[dict], step: int) -> list[dict]:
 def mean(window: list[dict]) -> dict[str, float]:
   """The mean of each metric."""
   return {k: float(np.mean([m[k] for m in window])) for k in window[0]}
-
-
-def draw(kind: str, state, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
-  """Views, what the network makes of them, and the truth, as one uint8 image [H, W, 3]."""
-  slots = data.surface_slots(dataset)
-  truth = [data.read_color(dataset, *p, slots=slots) for p in pairs]
-  images = np.stack([t.image for t in truth])
-  variables = {'params': state.params, 'batch_stats': state.batch_stats}
-  occupied = predicted = [None] * len(truth)
-  if kind in methods.SHAPE_KINDS:
-    occupied = methods.score(kind, variables, images) >= methods.THRESHOLDS[kind]
-  if kind in methods.COLOR_KINDS:
-    predicted = methods.colors(kind, variables, images)
-  lines = []
-  for t, shape, color, (_, view) in zip(truth, occupied, predicted, pairs, strict=True):
-    right = to_voxels(t)
-    made = grid.ColoredVoxels(
-      right.occupancy if shape is None else shape,
-      np.full_like(right.color, 0.7) if color is None else color,
-    )
-    azimuth = dataset.manifest.azimuths[view]
-    drawn = [figures.draw_voxels(v, azimuth) for v in (made, right)]
-    lines.append([figures.to_uint8(t.image), *drawn])
-  return figures.grid_of_images(lines, column_titles=('view', 'network', 'truth'))
-
-
-def to_voxels(element: data.Batch) -> grid.ColoredVoxels:
-  """An element's sparse surface as a volume."""
-  real = element.index[:, 0] != grid.PADDING_INDEX
-  at = tuple(element.index[real].T)
-  shape = (grid.GRID_SIZE,) * 3
-  voxels = grid.ColoredVoxels(np.zeros(shape, bool), np.zeros((*shape, 3), np.float32))
-  voxels.occupancy[at] = True
-  voxels.color[at] = element.color[real]
-  return voxels
 
 
 @contextlib.contextmanager

@@ -49,3 +49,12 @@ def test_jax_and_numpy_agree():
   world = grid.index_to_world(jnp.asarray(index))
   np.testing.assert_allclose(world, grid.index_to_world(index), atol=1e-7)
   np.testing.assert_allclose(grid.world_to_grid(world), index + 0.5, atol=1e-5)
+
+
+def test_voxels_of_a_padded_list():
+  index = np.array([[1, 2, 3], [4, 5, 6], [grid.PADDING_INDEX] * 3])
+  color = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0, 0, 0]])
+  voxels = grid.to_voxels(index, color)
+  np.testing.assert_array_equal(np.argwhere(voxels.occupancy), index[:2])
+  np.testing.assert_allclose(voxels.color[4, 5, 6], color[1], rtol=1e-6)
+  assert voxels.color.sum() == pytest.approx(color.sum())

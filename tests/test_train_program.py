@@ -21,8 +21,6 @@ from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
 
-DRAW = program.draw
-
 
 class TrainState(NamedTuple):
   params: Any
@@ -75,7 +73,7 @@ def small_networks(request, monkeypatch):
     return
   for f in (create_state, make_step, make_surface_step, make_eval):
     monkeypatch.setattr(program.train, f.__name__, f)
-  monkeypatch.setattr(program, 'draw', lambda *_: np.zeros((8, 8, 3), np.uint8))
+  monkeypatch.setattr(program, 'draw_views', lambda *_: np.zeros((8, 8, 3), np.uint8))
 
 
 @pytest.fixture(scope='module')
@@ -452,38 +450,6 @@ def test_mean_over_devices_is_the_mean_on_one(made, tmp_path, monkeypatch):
     [line['loss'] for line in log_of(tmp_path / name) if 'loss' in line] for name in ('two', 'one')
   )
   np.testing.assert_allclose(two, one, rtol=1e-6)
-
-
-@pytest.mark.parametrize('kind', ['shape', 'color'])
-def test_pictures_of_a_perfect_network_show_the_truth(made, monkeypatch, kind):
-  dataset = program.open_dataset(str(made))
-  pairs = data.evaluation_pairs([0, 4], 2)[1:3]
-  slots = data.surface_slots(dataset)
-  truth = [program.to_voxels(data.read_color(dataset, *p, slots=slots)) for p in pairs]
-  colors = np.stack([t.color for t in truth])
-  monkeypatch.setattr(program.methods, 'colors', lambda *_: colors)
-  probability = np.stack([t.occupancy for t in truth]).astype(np.float32)
-  monkeypatch.setattr(program.methods, 'score', lambda *_: probability)
-  rows = []
-  monkeypatch.setattr(program.figures, 'grid_of_images', lambda r, **_: rows.extend(r))
-  DRAW(kind, create_state(jax.random.key(0), kind), dataset, pairs)
-  for (view, network, right), (row, azimuth) in zip(rows, pairs, strict=True):
-    record = program.open_dataset(str(made)).arrays['views'][row, azimuth].read().result()
-    np.testing.assert_array_equal(view, np.round(data.composite(record) * 255))
-    if kind == 'color':
-      np.testing.assert_array_equal(network, right)
-    else:
-      background = right[0, 0]
-      np.testing.assert_array_equal((network != background).any(-1), (right != background).any(-1))
-
-
-def test_voxels_of_an_element():
-  index = np.array([[1, 2, 3], [4, 5, 6], [grid.PADDING_INDEX] * 3])
-  color = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0, 0, 0]])
-  voxels = program.to_voxels(data.Batch(None, index, color, None))
-  np.testing.assert_array_equal(np.argwhere(voxels.occupancy), index[:2])
-  np.testing.assert_allclose(voxels.color[4, 5, 6], color[1], rtol=1e-6)
-  assert voxels.color.sum() == pytest.approx(color.sum())
 
 
 def test_program_prints_one_line(tmp_path):
