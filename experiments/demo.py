@@ -29,6 +29,7 @@ PICTURE_VIEWS = (1, 11, 2, 10)
 
 VALIDATIONS = 6  # in the course of a training, of so many views each
 VALIDATION_VIEWS = 36
+FRESH_STATISTICS = 20  # batches: running statistics do not keep up with so short a training
 
 # What the networks are measured by, its name and the baseline it is compared with.
 MEASURES = (
@@ -90,7 +91,8 @@ def run(f: flags.FlagValues) -> int:
     stage(
       'experiments.train',
       network=network,
-      recipe='paper',
+      recipe='best',
+      fresh_statistics=FRESH_STATISTICS,
       data=folder['data'],
       workdir=folder[network],
       epochs=epochs,
