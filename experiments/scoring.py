@@ -63,10 +63,20 @@ def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
   return grid.to_voxels(record.surface_index, record.surface_color / 255, size=grid_size)
 
 
-def choose_threshold(
+def threshold_curve(
   dataset: Dataset, rows: Iterable[int], shape: Network, *, flip: bool = False
-) -> float:
-  """The threshold of the best mean IoU over all views of the rows' models; some model is needed."""
+) -> tuple[np.ndarray, np.ndarray]:
+  """The mean IoU over all views of the rows' models for many thresholds.
+
+  Args:
+    dataset: the open data set.
+    rows: of at least one model.
+    shape: the network that scores voxels.
+    flip: whether to take means with the mirrored views, see cvn.methods.
+
+  Returns:
+    (thresholds [T], mean IoU [T]).
+  """
   candidates = CHANNELS if shape.kind == 'r2n2' else PROBABILITIES
   size = dataset.manifest.grid_size
   curves = []
@@ -76,7 +86,15 @@ def choose_threshold(
     views = record.views.astype(np.float32) / 255
     scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
     curves += [metrics.iou_at(s, true, candidates) for s in scores]
-  return float(candidates[np.argmax(np.mean(curves, axis=0))])
+  return candidates, np.mean(curves, axis=0)
+
+
+def choose_threshold(
+  dataset: Dataset, rows: Iterable[int], shape: Network, *, flip: bool = False
+) -> float:
+  """The threshold of the best mean IoU; arguments as of `threshold_curve`."""
+  candidates, curve = threshold_curve(dataset, rows, shape, flip=flip)
+  return float(candidates[np.argmax(curve)])
 
 
 def score_model(
