@@ -29,7 +29,7 @@ KEEP = 2
 # What runs did that were begun before there was a setting.
 _BEFORE = {
   **{'dtype': 'float32', 'heads': 'dense', 'shape_loss': 'msfcel', 'source': []},
-  **{'schedule': None, 'mirror': None, 'fresh_statistics': 0},
+  **{'schedule': None, 'mirror': None, 'permute': None, 'fresh_statistics': 0},
 }
 
 

@@ -94,15 +94,6 @@ def composite(rgba: np.ndarray, background: float = GREY) -> np.ndarray:
   return rgba[..., :3] * alpha + np.float32(background) * (1 - alpha)
 
 
-def read_views(dataset: Dataset, row: int) -> np.ndarray:
-  """The views [V, H, W, 4] u8 of a model, and nothing else of it.
-
-  Raises:
-    UserError: the model's files are damaged.
-  """
-  return _read(dataset, row, dataset.arrays['views'][row])[0]
-
-
 def read_shape(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
   """One element of a `ShapeBatch`: its arrays without the batch axis.
 
@@ -146,6 +137,7 @@ def training_batches(
   seed: int,
   background: float = GREY,
   mirror: bool = False,
+  permute: bool = False,
   shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
@@ -161,6 +153,7 @@ def training_batches(
     seed: of order and views, 0 to 2^32 - 1.
     background: grey level in [0, 1] behind the object.
     mirror: whether a random half of the elements is mirrored, see `mirrored`.
+    permute: whether the colour channels of each element change places, see `permuted`.
     shard: (process, processes): each process sees its own part of every epoch.
 
   Raises:
@@ -179,12 +172,15 @@ def training_batches(
   read_one = _reader(read, dataset, background)
 
   def choose(row, rng: np.random.Generator):
-    return row, rng.integers(views), mirror and rng.integers(2)
+    view = rng.integers(views)
+    return row, view, mirror and rng.integers(2), rng.permutation(3) if permute else None
 
   def read_chosen(chosen):
-    row, view, flipped = chosen
+    row, view, flipped, order = chosen
     element = read_one((row, view))
-    return mirrored(element, dataset.manifest.grid_size) if flipped else element
+    if flipped:
+      element = mirrored(element, dataset.manifest.grid_size)
+    return element if order is None else permuted(element, order)
 
   return (
     grain.MapDataset.source([int(r) for r in rows])
@@ -215,6 +211,22 @@ def mirrored(element: Any, grid_size: int) -> Any:
   flow = element.flow.copy()
   flow[real, 0] = 1 - flow[real, 0]
   return element._replace(flow=flow)
+
+
+def permuted(element: Any, order: Sequence[int]) -> Any:
+  """An element whose colour channels stand in another order, in the picture and on the surface.
+
+  Views show albedo without light, so this is the object's view had it been painted so; the ground is
+  grey and stays it.
+
+  Args:
+    element: of a `Batch` or `ShapeBatch`, without the batch axis.
+    order: a permutation of (0, 1, 2).
+  """
+  element = element._replace(image=element.image[..., order])
+  if isinstance(element, ShapeBatch):
+    return element
+  return element._replace(color=element.color[..., order])
 
 
 def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:

@@ -25,6 +25,7 @@ class Recipe(NamedTuple):
   learning_rate: float  # the first one
   schedule: Callable[[jax.Array, float], jax.Array]  # (samples seen, of all) -> its factor
   mirror: bool  # whether half of the samples are mirrored, picture and object
+  permute: bool  # whether red, green and blue change places at random, in picture and object
 
 
 def constant(samples: jax.Array, total: float) -> jax.Array:
@@ -63,6 +64,7 @@ PAPER = Recipe(
   learning_rate=3e-4,
   schedule=constant,
   mirror=False,
+  permute=False,
 )
 RELEASE = PAPER._replace(
   name='release',

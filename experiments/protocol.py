@@ -44,6 +44,8 @@ TRAININGS: dict[str, dict[str, str]] = {
   'blended_release': {'network': 'color', 'recipe': 'release'},
   'msfcel_mirror': {'network': 'shape', 'mirror': 'true'},
   'blended_mirror': {'network': 'color', 'mirror': 'true'},
+  'msfcel_permute': {'network': 'shape', 'recipe': 'best', 'permute': 'true'},
+  'blended_permute': {'network': 'color', 'recipe': 'best', 'permute': 'true'},
   'msfcel_best': {'network': 'shape', 'recipe': 'best'},
   'blended_best': {'network': 'color', 'recipe': 'best'},
 }

@@ -90,6 +90,13 @@ def define_flags(f: flags.FlagValues) -> None:
     'Whether half of the views are mirrored, each with its object, instead of as the recipe says.',
     **own,
   )
+  flags.DEFINE_bool(
+    'permute',
+    None,
+    'Whether red, green and blue change places at random, in views and on surfaces, instead of as'
+    ' the recipe says.',
+    **own,
+  )
   flags.DEFINE_integer(
     'fresh_statistics',
     0,
@@ -121,7 +128,13 @@ def run(f: flags.FlagValues) -> int:
   check_sizes(dataset)
   rows = data.select_rows(dataset, 'train', f.category, f.source)
   batches = data.training_batches(
-    read, dataset, rows, batch_size=f.batch_size, seed=f.seed, mirror=recipe.mirror
+    read,
+    dataset,
+    rows,
+    batch_size=f.batch_size,
+    seed=f.seed,
+    mirror=recipe.mirror,
+    permute=recipe.permute,
   )
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
@@ -210,7 +223,8 @@ def make_recipe(f: flags.FlagValues) -> Recipe:
     recipe = recipe._replace(learning_rate=f.learning_rate)
   if f.schedule is not None:
     recipe = recipe._replace(schedule=recipes.SCHEDULES[f.schedule])
-  return recipe if f.mirror is None else recipe._replace(mirror=f.mirror)
+  asked = {name: f[name].value for name in ('mirror', 'permute') if f[name].value is not None}
+  return recipe._replace(**asked)
 
 
 def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
@@ -255,7 +269,8 @@ def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: i
   """All that a resumed run must share with the one it continues."""
   names = (
     *('network', 'recipe', 'shape_loss', 'dtype', 'heads', 'category', 'source'),
-    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'fresh_statistics', 'seed'),
+    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'permute'),
+    *('fresh_statistics', 'seed'),
   )
   config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
   # A schedule that ends with the training is another one where that is longer.

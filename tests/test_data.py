@@ -135,6 +135,22 @@ def test_a_mirrored_element_is_the_mirrored_objects_view(made):
   np.testing.assert_array_equal(shape.index, found.index)
 
 
+def test_channels_change_places_in_picture_and_surface_alike(made):
+  element = data.read_color(made, 0, 1, slots=data.surface_slots(made))
+  found = data.permuted(element, [2, 0, 1])
+  np.testing.assert_array_equal(found.image[..., 0], element.image[..., 2])
+  np.testing.assert_array_equal(found.color[..., 1], element.color[..., 0])
+  np.testing.assert_array_equal(found.flow, element.flow)
+  assert found.image[0, 0].tolist() == element.image[0, 0].tolist() == [np.float32(data.GREY)] * 3
+  plain, both = batches(made), batches(made, permute=True)
+  seen = set()
+  for n in range(60):
+    for a, b in zip(plain[n].image, both[n].image, strict=True):
+      orders = [o for o in itertools.permutations(range(3)) if np.array_equal(a[..., o], b)]
+      seen.update(orders if len(orders) == 1 else [])
+  assert len(seen) == 6
+
+
 def test_half_of_the_elements_are_mirrored(made):
   plain, both = batches(made), batches(made, mirror=True)
   flipped = []
