@@ -216,8 +216,8 @@ def mirrored(element: Any, grid_size: int) -> Any:
 def permuted(element: Any, order: Sequence[int]) -> Any:
   """An element whose colour channels stand in another order, in the picture and on the surface.
 
-  Views show albedo without light, so this is the object's view had it been painted so; the ground is
-  grey and stays it.
+  Views show albedo without light, so this is the object's view had it been painted so; the ground
+  is grey and stays it.
 
   Args:
     element: of a `Batch` or `ShapeBatch`, without the batch axis.
