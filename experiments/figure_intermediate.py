@@ -69,17 +69,16 @@ def run(f: flags.FlagValues) -> None:
 
 def draw_row(f, example, shown, baseline, networks: protocol.Networks) -> list[np.ndarray]:
   """The pictures of one example, as `TITLES` names them."""
-  alpha = protocol.METHODS[METHOD].alpha
   batch = reconstruct.reconstruct(
     networks.shape.variables,
     networks.color.variables,
     shown.batch,
-    alpha=alpha,
+    alpha=networks.alpha,
     grid_size=len(shown.true.occupancy),
   )
   one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
   voxels = reconstruct.to_voxels(one, networks.threshold)
-  weight = np.asarray(blending.recalculate_weight(one.weight, alpha))
+  weight = np.asarray(blending.recalculate_weight(one.weight, networks.alpha))
   volumes = (
     figures.flow_color_code(one.flow),
     one.sampled,
@@ -97,11 +96,10 @@ def draw_row(f, example, shown, baseline, networks: protocol.Networks) -> list[n
 
 def draw_legend(size: int) -> np.ndarray:
   """The colour codes of flow and weight."""
-  ticks = (np.arange(size) + 0.5) / size
-  flow = figures.flow_color_code(np.stack(np.meshgrid(ticks, ticks), -1))
-  weight = np.broadcast_to(figures.weight_color_code(ticks), (size // 8, size, 3))
+  weights = np.broadcast_to(np.linspace(0, 1, size), (size // 8, size))
+  bar = figures.to_uint8(figures.weight_color_code(weights))
   return figures.grid_of_images(
-    [[figures.to_uint8(x) for x in (flow, weight)]],
+    [[pictures.draw_flow_code(size), bar]],
     column_titles=[
       'flow: the place in the\ninput that has the colour',
       'weight: of the regressed\ncolour (blue), the sampled',

@@ -88,19 +88,18 @@ def run(f: flags.FlagValues) -> None:
 
 def sample(networks: protocol.Networks, views: np.ndarray, grid_size: int) -> list[Sampled]:
   """Reconstructions of views [V, H, W, 4] in [0, 1], coloured in both ways."""
-  alpha = protocol.METHODS[METHOD].alpha
   found = reconstruct.reconstruct(
     networks.shape.variables,
     networks.color.variables,
     views,
-    alpha=alpha,
+    alpha=networks.alpha,
     grid_size=grid_size,
   )
   ground = (views[..., 3:] < 0.5).astype(np.float32)  # as in cvn.reconstruct
   background = sampler.nearest(ground, found.flow)[..., 0] > 0
   image = views[..., :3] * views[..., 3:] + data.GREY * (1 - views[..., 3:])
   plain = sampler.nearest(image, found.flow)
-  weight = blending.recalculate_weight(found.weight[..., None], alpha)
+  weight = blending.recalculate_weight(found.weight[..., None], networks.alpha)
   blended = blending.blend(plain, found.regressed, weight)
   occupancy = found.probability >= networks.threshold
   batch = Sampled(occupancy, background, plain, found.sampled, blended, found.blended)

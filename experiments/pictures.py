@@ -158,6 +158,12 @@ def draw_results(
   return arrange(rows, titles, examples)
 
 
+def draw_flow_code(size: int) -> np.ndarray:
+  """The colour code of flows: the place (u, v) of the input in its colour."""
+  ticks = (np.arange(size) + 0.5) / size
+  return figures.to_uint8(figures.flow_color_code(np.stack(np.meshgrid(ticks, ticks), -1)))
+
+
 def say_choice(f: flags.FlagValues) -> str:
   """How the models were chosen, for a caption."""
   return f'Test models and views drawn at random, not chosen: seed {f.figure_seed}.'
@@ -171,7 +177,10 @@ def say_training(f: flags.FlagValues) -> str:
 
 
 def describe(
-  f: flags.FlagValues, examples: Sequence[Example], methods: Sequence[str]
+  f: flags.FlagValues,
+  examples: Sequence[Example],
+  methods: Sequence[str],
+  trainings: Sequence[str] = (),
 ) -> dict[str, Any]:
   """What a figure shows, as JSON values.
 
@@ -179,11 +188,14 @@ def describe(
     f: the flags.
     examples: in the order of the figure's rows.
     methods: keys of `protocol.METHODS`.
+    trainings: whose networks it shows; by default all that the methods have.
   """
+  used = trainings or sorted(
+    {t for m in methods for t in (protocol.METHODS[m].shape, protocol.METHODS[m].color)}
+  )
 
   def networks(trained_on):
-    trainings = {t for m in methods for t in (protocol.METHODS[m].shape, protocol.METHODS[m].color)}
-    folders = {t: protocol.train(f, t, trained_on, f.seeds[0]) for t in sorted(trainings)}
+    folders = {t: protocol.train(f, t, trained_on, f.seeds[0]) for t in used}
     return {t: os.path.relpath(folder, f.workdir) for t, folder in folders.items()}
 
   return {

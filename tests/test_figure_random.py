@@ -1,0 +1,161 @@
+"""Figures of models drawn at random, and what all figures share: choice, tiles, files."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+import synthetic
+from absl import flags
+from PIL import Image
+from test_evaluate import save_network
+
+from cvn import dataset, figures
+from cvn.errors import UserError
+from cvn.grid import ColoredVoxels
+from cvn.networks import NETWORKS
+from experiments import figure_random, pictures, protocol, scoring
+
+IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
+
+
+def make_workdir(root, monkeypatch):
+  """The flags of a data set of two categories, all of whose networks say: a ball, red."""
+  synthetic.make_dataset(
+    root / 'data',
+    8,
+    splits=('train', 'train', 'test', 'test'),
+    categories=('car', 'zebra'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+  )
+  ball = np.linalg.norm(np.indices((GRID,) * 3) - (GRID - 1) / 2, axis=0) < GRID / 3
+  voxels = ColoredVoxels(ball, np.broadcast_to([1.0, 0, 0], (*ball.shape, 3)))
+
+  def train(f, training, category, seed):
+    return os.path.join(f.workdir, 'runs', f'{training}_{category}_{seed}')
+
+  def evaluate(f, method, category, seed, **_):
+    del f, category, seed
+    joint = protocol.METHODS[method].shape == 'r2n2'
+    return {'threshold': -0.1 if joint else 0.5, 'alpha': protocol.METHODS[method].alpha}
+
+  def make_predictor(f, method, category, seed):
+    del f, method, category, seed
+    return lambda views: [voxels] * len(views)
+
+  monkeypatch.setattr(protocol, 'train', train)
+  monkeypatch.setattr(protocol, 'evaluate', evaluate)
+  monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
+  return {'data': str(root / 'data'), 'workdir': str(root / 'work')}
+
+
+def save_networks(given, category, *trainings):
+  """Networks of random parameters in the folders of trainings."""
+  for training in trainings:
+    kind = protocol.TRAININGS[training]['network']
+    folder = os.path.join(given['workdir'], 'runs', f'{training}_{category}_0')
+    save_network(folder, kind, NETWORKS[kind](IMAGE, GRID))
+
+
+def parse(program, *arguments, **named):
+  """A program's flags."""
+  f = flags.FlagValues()
+  program.define_flags(f)
+  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
+  return f
+
+
+def read_figure(given, name):
+  """A figure's pixels, and what is said of it."""
+  stem = os.path.join(given['workdir'], 'figures', name)
+  with open(f'{stem}.json') as f:
+    return np.asarray(Image.open(f'{stem}.png')), json.load(f)
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+  return make_workdir(tmp_path, monkeypatch)
+
+
+def test_the_figure_tells_what_it_shows(given, capsys):
+  f = parse(figure_random, methods='r2n2,flow', tile=48, figure_seed=7, **given)
+  figure_random.run(f)
+  image, facts = read_figure(given, 'random')
+  assert image.ndim == 3 and (image < 100).any()
+  assert facts['figure_seed'] == 7 and 'seed 7' in facts['caption']
+  assert [r['category'] for r in facts['rows']] == ['car', 'car', 'zebra', 'zebra']
+  assert {r['id'] for r in facts['rows']} == {'m2', 'm3', 'm6', 'm7'}
+  assert {r['azimuth'] for r in facts['rows']} <= {*AZIMUTHS}
+  assert facts['networks']['zebra'] == {
+    t: os.path.join('runs', f'{t}_zebra_0') for t in ('flow', 'msfcel', 'r2n2')
+  }
+  written = os.path.join(given['workdir'], 'figures', 'random')
+  assert capsys.readouterr().out.splitlines() == [f'{written}.png', f'{written}.json']
+  assert sorted(os.listdir(os.path.dirname(written))) == ['random.json', 'random.png']
+
+
+def test_one_model_of_all_categories(given):
+  f = parse(
+    figure_random, '--models=all', '--quick', methods='flow', tile=48, name='x', seeds='3', **given
+  )
+  figure_random.run(f)
+  _, facts = read_figure(given, 'x')
+  assert facts['networks']['car'] == facts['networks']['zebra']
+  assert facts['networks']['car']['flow'] == os.path.join('runs', 'flow_all_3')
+  assert facts['caption'].endswith('one for all categories, 1 epochs, seed 3.')
+
+
+def test_a_seed_means_a_choice(given):
+  opened = dataset.open_dataset(given['data'])
+
+  def choose(**named):
+    return pictures.choose(parse(figure_random, **given, **named), opened)
+
+  assert choose(figure_seed=1) == choose(figure_seed=1)
+  assert len({tuple(choose(figure_seed=n)) for n in range(8)}) > 4
+  assert [e.row for e in choose(per_category=1, category='zebra')] in ([3], [7])
+  assert sorted(e.row for e in choose(per_category=9)) == [2, 3, 6, 7]
+  for e in choose():
+    assert e.model == opened.manifest.models[e.row] and e.azimuth == AZIMUTHS[e.view]
+
+
+def test_results_are_the_predictors(given, monkeypatch):
+  """A predictor that knows the truth draws what the truth's column shows."""
+  opened = dataset.open_dataset(given['data'])
+  by_view = {}
+  for row in (2, 3, 6, 7):
+    record = dataset.read_record(opened, row)
+    for view in record.views:
+      by_view[(view.astype(np.float32) / 255).tobytes()] = scoring.to_voxels(record, GRID)
+
+  def make_predictor(f, method, category, seed):
+    return lambda views: [by_view[v.tobytes()] for v in views]
+
+  monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
+  shown = []
+  monkeypatch.setattr(figures, 'grid_of_images', lambda rows, **_: shown.extend(rows))
+  f = parse(figure_random, tile=64, per_category=1, **given)
+  pictures.draw_results(f, opened, pictures.choose(f, opened), ['flow'])
+  for row in shown:
+    assert len(row) == 5
+    for side in (1, 2):
+      np.testing.assert_array_equal(row[side], row[side + 2])
+    assert not np.array_equal(row[1], row[2])
+
+
+def test_bad_flags_are_named(given, tmp_path):
+  for methods in ('msfcel', 'fly', ''):
+    with pytest.raises(flags.Error, match='methods'):
+      parse(figure_random, methods=methods, **given)
+  synthetic.make_dataset(tmp_path / 'few', 1, image_size=IMAGE, grid_size=GRID, azimuths=(0,))
+  few = given | {'data': str(tmp_path / 'few')}
+  with pytest.raises(UserError, match='no finished model in the split test'):
+    figure_random.run(parse(figure_random, **few))
+  with pytest.raises(UserError, match='no data set'):
+    figure_random.run(parse(figure_random, **given | {'data': str(tmp_path)}))
+
+
+def test_pictures_have_letters_for_titles():
+  assert pictures.title_of('blended_0.4') == 'Ours\n(alpha = 0.4)'

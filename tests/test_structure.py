@@ -1,0 +1,61 @@
+"""The unified network against separate ones: the tables, and their picture."""
+
+import json
+import os
+
+import pytest
+from test_figure_random import make_workdir, parse, read_figure
+
+from experiments import protocol, structure
+
+MODELS = {'m2': 'car', 'm6': 'car', 'm3': 'zebra'}
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+  """Evaluations in which separate networks are better by 0.25 in IoU and worse by 1 dB."""
+  made = make_workdir(tmp_path, monkeypatch)
+
+  def evaluate(f, method, category, seed, **_):
+    del f, seed
+    unified = method == structure.UNIFIED
+    models = {
+      name: {
+        'category': c,
+        'iou': [0.25 if unified else 0.5] * 3,
+        'psnr_rgb': [11.0 if unified else 10.0, None, None],
+      }
+      for name, c in MODELS.items()
+      if category in (protocol.ALL, c)
+    }
+    return {'threshold': 0.5, 'alpha': 0.2, 'networks': {'by_model': models}}
+
+  monkeypatch.setattr(protocol, 'evaluate', evaluate)
+  return made
+
+
+@pytest.mark.parametrize('models', ['category', 'all'])
+def test_numbers_stand_beside_the_papers(given, capsys, models):
+  structure.run(parse(structure, tile=48, per_category=1, models=models, **given))
+  text = capsys.readouterr().out
+  assert '| | car | zebra | avg. |' in text
+  assert '| Separate networks (proposed) | 0.500 ± 0.000 [0.395] | 0.500 | 0.500 |' in text
+  assert '| Unified network | 0.250 ± 0.000 [0.386] | 0.250 | 0.250 |' in text
+  assert 'Unified network: +0.250 ± 0.000 over 3 models, above in 100%' in text
+  assert 'Unified network: -1.00 ± 0.00 over 3 models, above in 0%' in text
+  with open(os.path.join(given['workdir'], 'tables', 'structure.json')) as f:
+    table = json.load(f)
+  separate, unified = table['iou']['rows']
+  assert separate['categories']['car'] == {
+    'mean': 0.5,
+    'error': 0,
+    'models': 2,
+    'seeds': [0.5],
+    'published': 0.395,
+  }
+  assert unified['categories']['car']['published'] == 0.386
+  assert table['psnr_rgb']['rows'][0]['categories']['car']['published'] is None
+  image, facts = read_figure(given, 'structure')
+  assert (image < 100).any() and [r['category'] for r in facts['rows']] == ['car', 'zebra']
+  folder = f'runs/unified_{"all" if models == "all" else "car"}_0'
+  assert facts['networks']['car']['unified'] == folder
