@@ -111,14 +111,21 @@ def examine(
     trained_on: the category, or `protocol.ALL`.
     ids: of all models of the category.
     colors: likewise.
+
+  Raises:
+    UserError: none of them is for testing.
   """
   reports = [protocol.evaluate(f, METHOD, trained_on, seed) for seed in f.seeds]
-  found = [r['networks']['by_model'] for r in reports]
-  names = [name for name, model in found[0].items() if model['category'] == category]
-  scores = {
-    metric: np.array([[r[name][metric] for name in names] for r in found], float).mean(0)
-    for metric in scoring.METRICS
-  }
+  models = reports[0]['networks']['by_model']
+  names = [name for name, model in models.items() if model['category'] == category]
+  if not names:
+    raise UserError(f'{f.data} has no finished {category} in the split test')
+
+  def mean_of_seeds(who, metric):
+    found = [[r[who]['by_model'][name][metric] for name in names] for r in reports]
+    return np.mean(np.array(found, float), axis=0)
+
+  scores = {metric: mean_of_seeds('networks', metric) for metric in scoring.METRICS}
   tested = colors.complexity[[ids.index(name) for name in names]]
   own = protocol.METHODS[METHOD]
   return Study(
@@ -127,6 +134,7 @@ def examine(
     [r['threshold'] for r in reports],
     names,
     scores,
+    mean_of_seeds('baselines', 'iou'),
     colors,
     tested,
     people_analysis.analyze(dataset.manifest.azimuths, scores['iou'], tested),
@@ -161,7 +169,7 @@ def draw_results(
       networks.shape.variables,
       networks.color.variables,
       record.views[[view]].astype(np.float32) / 255,
-      alpha=protocol.METHODS[METHOD].alpha,
+      alpha=networks.alpha,
       grid_size=size,
     )
     one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
@@ -175,7 +183,7 @@ def draw_results(
   image = figures.grid_of_images(
     pictures,
     column_titles=people_figures.TITLES,
-    row_titles=[f'{s["model"]}\n{s["azimuth"]:g}°' for s in shown],
+    row_titles=[f'{s["model"]}\nfrom {s["azimuth"]:g}°' for s in shown],
   )
   caption = (
     f'Test models and views drawn at random, not chosen: seed {f.figure_seed}. Degrees are'

@@ -33,7 +33,7 @@ def plot_azimuths(path: str, title: str, by_azimuth: Mapping[float, Estimate]) -
   figure = matplotlib.figure.Figure(figsize=(10, 4.2), dpi=DPI, layout='constrained')
   figure.suptitle(title, fontsize=10)
   line = figure.add_subplot(1, 2, 1)
-  line.set(xlabel='azimuth of the view', ylabel='mean IoU', xticks=range(0, 361, 45))
+  line.set(xlabel='azimuth of the view', ylabel='mean IoU and 95 % band', xticks=range(0, 361, 45))
   line.set_xticklabels([_name(a) for a in range(0, 361, 45)], fontsize=8)
   line.grid(alpha=0.3)
   around = figure.add_subplot(1, 2, 2, projection='polar')
@@ -43,10 +43,9 @@ def plot_azimuths(path: str, title: str, by_azimuth: Mapping[float, Estimate]) -
   around.set_rlabel_position(15)
   around.tick_params('y', labelsize=7)
   for axes, angle in ((line, degrees), (around, np.deg2rad(degrees))):
-    axes.plot(angle, value, '.-', color=COLOR, label='mean over models')
-    axes.fill_between(angle, low, high, color=COLOR, alpha=0.2, linewidth=0, label='95 %')
+    axes.plot(angle, value, '.-', color=COLOR)
+    axes.fill_between(angle, low, high, color=COLOR, alpha=0.2, linewidth=0)
   around.set_ylim(0)
-  line.legend(frameon=False)
   _save(figure, path)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from cvn import intervals
 from cvn.intervals import Estimate
-from experiments.people_analysis import FRONT_AND_BACK, SIDES, Analysis, Colors
+from experiments.people_analysis import FRONT_AND_BACK, SIDES, Analysis, Colors, Group
 
 IOU, PSNR = '.3f', '.2f'
 
@@ -20,6 +20,7 @@ class Study(NamedTuple):
   thresholds: list[float]  # of occupancy, one a seed
   models: list[str]  # ids of the N test models
   scores: dict[str, np.ndarray]  # of scoring.METRICS, [N, V], NaN where no voxel is occupied
+  baseline: np.ndarray  # [N, V] the IoU of the mean training shape
   colors: Colors  # of all models, whatever their split
   tested: np.ndarray  # [N, V] the complexities of the test models' views
   analysis: Analysis
@@ -40,7 +41,8 @@ def to_markdown(s: Study) -> str:
       f' occupied: above {thresholds}; in brackets: 95 % over models',
       *s.networks,
       '',
-      f'mean IoU {_cell(a.overall, IOU)}; surface PSNR: {psnr}',
+      f'mean IoU {_cell(a.overall, IOU)}, of the mean training shape'
+      f' {_cell(intervals.mean(s.baseline), IOU)}; surface PSNR: {psnr}',
       '',
       *_table(
         ('azimuth', 'IoU'),
@@ -53,10 +55,7 @@ def to_markdown(s: Study) -> str:
       '',
       *_table(
         ('colour complexity', 'test views', 'of models', 'IoU'),
-        [
-          (f'{g.lowest} to {g.highest}', g.views, g.models, _cell(g.iou, IOU))
-          for g in a.by_complexity
-        ],
+        [(_range(g), g.views, g.models, _cell(g.iou, IOU)) for g in a.by_complexity],
       ),
       '',
       f"Spearman's correlation of complexity and IoU: of views {_cell(a.correlation, '+.2f')}, of"
@@ -79,6 +78,7 @@ def to_json(s: Study) -> dict[str, Any]:
     'thresholds': s.thresholds,
     'models': s.models,
     'iou': _numbers(a.overall),
+    'baseline_iou': _numbers(intervals.mean(s.baseline)),
     **{k: _numbers(_mean(s.scores[k])) for k in ('psnr_rgb', 'psnr_ycbcr')},
     'by_azimuth': {f'{azimuth:g}': _numbers(e) for azimuth, e in a.by_azimuth.items()},
     'sides': _numbers(a.sides),
@@ -105,6 +105,10 @@ def _mean(values):
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
   lines = [head, ['---'] * len(head), *rows]
   return ['| ' + ' | '.join(map(str, line)) + ' |' for line in lines]
+
+
+def _range(g: Group) -> str:
+  return f'{g.lowest}' + (f' to {g.highest}' if g.highest > g.lowest else '')
 
 
 def _cell(e: Estimate, form: str) -> str:

@@ -81,13 +81,17 @@ def test_the_whole_study(given, commands, capsys):
   with open(folder / 'tables' / 'people.json') as f:
     found = json.load(f)
   with open(folder / 'scores' / 'blended_0.2_human_0_test.json') as f:
-    report = json.load(f)['networks']
+    whole = json.load(f)
+  report = whole['networks']
   assert found['models'] == ['m2', 'm6']  # people for testing
   for azimuth in map(str, AZIMUTHS):
     iou = report['by_view'][azimuth]['iou']
     assert found['by_azimuth'][azimuth]['value'] == pytest.approx(iou)
     assert f'| {azimuth}° | {iou:.3f} [' in told
   assert found['iou']['value'] == pytest.approx(report['total']['iou'])
+  baseline = whole['baselines']['total']['iou']
+  assert found['baseline_iou']['value'] == pytest.approx(baseline)
+  assert f'of the mean training shape {baseline:.3f} [' in told
   assert sum(g['views'] for g in found['by_complexity']) == 8
   assert sum(found['colors']['views_by_complexity']) == 16  # people of all splits, no eggs
   assert found['colors']['t1'] == 1 and found['epochs'] == 500 and found['quick']
@@ -123,3 +127,11 @@ def test_bad_input_is_named(tmp_path, given):
   synthetic.make_dataset(tmp_path / 'few', 1, azimuths=(0, 90), image_size=IMAGE, grid_size=GRID)
   with pytest.raises(UserError, match='no views from 180°, 270°'):
     run(**given | {'data': tmp_path / 'few'})
+
+
+def test_a_category_without_test_models_is_named(given, monkeypatch):
+  monkeypatch.setattr(
+    protocol, 'evaluate', lambda *_: {'networks': {'by_model': {'m3': {'category': 'egg'}}}}
+  )
+  with pytest.raises(UserError, match='no finished human in the split test'):
+    run(t1=1, **given)
