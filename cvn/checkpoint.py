@@ -28,7 +28,13 @@ FORMAT = 1
 KEEP = 2
 # What runs did that were begun before there was a setting.
 _BEFORE = {
-  **{'dtype': 'float32', 'heads': 'dense', 'shape_loss': 'msfcel', 'source': []},
+  **{
+    'dtype': 'float32',
+    'heads': 'dense',
+    'shape_loss': None,
+    'surface_distance': None,
+    'source': [],
+  },
   **{'schedule': None, 'mirror': None, 'permute': None, 'fresh_statistics': 0},
 }
 

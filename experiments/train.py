@@ -42,7 +42,16 @@ from cvn.recipe import RECIPES, Recipe
 from experiments.training_pictures import draw_views
 
 PICTURES = 4  # views drawn at each validation
-SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
+SHAPE_LOSSES = {
+  'msfcel': losses.msfcel,
+  'cross_entropy': losses.cross_entropy,
+  'msfcel_and_iou': losses.msfcel_and_iou,
+}
+SURFACE_DISTANCES = {
+  'l2': losses.surface_l2,
+  'l1': losses.surface_l1,
+  'squared': losses.surface_squared,
+}
 DTYPES = ('float32', 'mixed')
 HEADS = ('dense', 'surface')
 
@@ -52,7 +61,16 @@ def define_flags(f: flags.FlagValues) -> None:
   own = {'flag_values': f}
   flags.DEFINE_enum('network', None, [*NETWORKS], 'Which network.', **own)
   flags.DEFINE_enum('recipe', 'paper', sorted(RECIPES), 'What to follow where they differ.', **own)
-  flags.DEFINE_enum('shape_loss', 'msfcel', [*SHAPE_LOSSES], 'Of --network=shape and joint.', **own)
+  flags.DEFINE_enum(
+    'shape_loss', None, [*SHAPE_LOSSES], "Of shapes, instead of the recipe's.", **own
+  )
+  flags.DEFINE_enum(
+    'surface_distance',
+    None,
+    [*SURFACE_DISTANCES],
+    "Of colours and flow, instead of the recipe's.",
+    **own,
+  )
   flags.DEFINE_enum(
     'dtype',
     'float32',
@@ -218,13 +236,15 @@ def run(f: flags.FlagValues) -> int:
 
 def make_recipe(f: flags.FlagValues) -> Recipe:
   """The recipe that the flags name, with what they change in it."""
-  recipe = RECIPES[f.recipe]._replace(shape_loss=SHAPE_LOSSES[f.shape_loss])
-  if f.learning_rate is not None:
-    recipe = recipe._replace(learning_rate=f.learning_rate)
-  if f.schedule is not None:
-    recipe = recipe._replace(schedule=recipes.SCHEDULES[f.schedule])
-  asked = {name: f[name].value for name in ('mirror', 'permute') if f[name].value is not None}
-  return recipe._replace(**asked)
+  choices = {
+    'shape_loss': SHAPE_LOSSES,
+    'surface_distance': SURFACE_DISTANCES,
+    'schedule': recipes.SCHEDULES,
+  }
+  names = (*choices, 'learning_rate', 'mirror', 'permute')
+  asked = {name: f[name].value for name in names if f[name].value is not None}
+  chosen = {name: choices[name][x] if name in choices else x for name, x in asked.items()}
+  return RECIPES[f.recipe]._replace(**chosen)
 
 
 def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
@@ -268,7 +288,8 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
 def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: int) -> dict:
   """All that a resumed run must share with the one it continues."""
   names = (
-    *('network', 'recipe', 'shape_loss', 'dtype', 'heads', 'category', 'source'),
+    *('network', 'recipe', 'shape_loss', 'surface_distance', 'dtype', 'heads'),
+    *('category', 'source'),
     *('batch_size', 'learning_rate', 'schedule', 'mirror', 'permute'),
     *('fresh_statistics', 'seed'),
   )

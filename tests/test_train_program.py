@@ -327,9 +327,10 @@ def test_flags_change_the_recipe():
   f(['program', *needed, '--recipe=release', '--learning_rate=0.5', '--schedule=cosine'])
   recipe = program.make_recipe(f)
   assert recipe == RELEASE._replace(learning_rate=0.5, schedule=cosine)
-  f(['program', '--mirror', '--shape_loss=cross_entropy'])
+  f(['program', '--mirror', '--shape_loss=cross_entropy', '--surface_distance=squared'])
   recipe = program.make_recipe(f)
   assert recipe.mirror and recipe.shape_loss is losses.cross_entropy
+  assert recipe.surface_distance is losses.surface_squared
 
 
 def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
