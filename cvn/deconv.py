@@ -1,10 +1,14 @@
-"""The stride-2 3x3x3 transposed convolution of the decoder and the 3x3x3 convolution of the heads.
+"""The decoder's stride-2 3x3x3 transposed convolution and the heads' 3x3x3 convolution.
 
-Volumes are [B, X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += x[j] w[t] for
-the deconvolution and o[v] += x[v + t - 1] w[t] for the convolution: SAME padding of the authors'
-framework. Which program computes them is decided when the function is lowered: on a CPU the
-compiled kernels (cvn/native.py) or, where these are missing, matrix products (cvn/phases.py);
-elsewhere the library's convolution. Derivatives are those of the same program.
+Volumes are [B, X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += a[j] w[t] for
+the deconvolution and y[v] += a[v + t - 1] w[t] for the convolution: SAME padding of the authors'
+framework. Volumes are large, and memory is what a processor waits for: so a volume is kept as the
+product before it left it, x, and both read it as a = activation(gain x + offset), which is the
+batch normalisation in between. They also return the sums that the next one needs.
+
+Which program computes them is decided when the function is lowered: on a CPU the compiled kernels
+(cvn/native.py) or, where these are missing, matrix products (cvn/phases.py); elsewhere the
+library's convolution. Derivatives are those of the same program.
 
 Kernels are float32, and so is every sum. Where the input is bfloat16, so are all factors of
 products; results and gradients of volumes have the type of the volume.
@@ -17,46 +21,58 @@ import jax.numpy as jnp
 from jax import lax
 
 from cvn import native, phases
+from cvn.normalization import Activation, activated
 
 _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def deconv(x: jax.Array, kernel: jax.Array, dtype=None) -> jax.Array:
-  """Stride-2 transposed convolution: [B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, out].
+@functools.partial(jax.custom_vjp, nondiff_argnums=(4, 5))
+def deconv(
+  x: jax.Array,
+  gain: jax.Array,
+  offset: jax.Array,
+  kernel: jax.Array,
+  activation: Activation,
+  dtype=None,
+) -> tuple[jax.Array, jax.Array]:
+  """Stride-2 transposed convolution of activation(gain x + offset).
 
   Args:
     x: [B, X, Y, Z, in] float32 or bfloat16.
+    gain, offset: [in].
     kernel: [3, 3, 3, in, out] float32.
+    activation: before the product.
     dtype: of the result; None for that of `x`.
+
+  Returns:
+    (y [B, 2X, 2Y, 2Z, out], sums [2, out] of y and of its square).
   """
-
-  def kernels(x, kernel):
-    b, *size, _ = x.shape
-    result = jax.ShapeDtypeStruct((b, *(2 * s for s in size), kernel.shape[-1]), dtype or x.dtype)
-    return native.call('cvn_deconv', [result], x, kernel)[0]
-
-  return _by_platform(kernels, phases.deconv, library_deconv, dtype, x, kernel)
+  shape = (len(x), *(2 * s for s in x.shape[1:4]), kernel.shape[-1])
+  y = jax.ShapeDtypeStruct(shape, dtype or x.dtype)
+  return _forward('deconv', y, x, gain, offset, kernel, activation)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=())
-def conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """Convolution with zeros around: [B, X, Y, Z, in] -> [B, X, Y, Z, out] float32.
+@functools.partial(jax.custom_vjp, nondiff_argnums=(4,))
+def conv(
+  x: jax.Array, gain: jax.Array, offset: jax.Array, kernel: jax.Array, activation: Activation
+) -> tuple[jax.Array, jax.Array]:
+  """Convolution of activation(gain x + offset), with zeros around it.
 
   Args:
     x: [B, X, Y, Z, in] float32 or bfloat16.
+    gain, offset: [in].
     kernel: [3, 3, 3, in, out] float32.
+    activation: before the product.
+
+  Returns:
+    (y [B, X, Y, Z, out] float32, sums [2, out] of y and of its square).
   """
-
-  def kernels(x, kernel):
-    result = jax.ShapeDtypeStruct((*x.shape[:-1], kernel.shape[-1]), jnp.float32)
-    return native.call('cvn_conv', [result], x, kernel)[0]
-
-  return _by_platform(kernels, phases.conv, library_conv, jnp.float32, x, kernel)
+  y = jax.ShapeDtypeStruct((*x.shape[:-1], kernel.shape[-1]), jnp.float32)
+  return _forward('conv', y, x, gain, offset, kernel, activation)
 
 
 def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """The same as the library has it: dilated input, correlated with the flipped kernel."""
+  """The product as the library has it: dilated input, correlated with the flipped kernel."""
   return lax.conv_general_dilated(
     x,
     kernel[::-1, ::-1, ::-1],
@@ -68,85 +84,123 @@ def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
 
 
 def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """The same as the library has it."""
+  """The product as the library has it."""
   return lax.conv_general_dilated(x, kernel, (1, 1, 1), 'SAME', dimension_numbers=_DIMENSIONS)
 
 
-def _deconv_forward(x, kernel, dtype):
-  return deconv(x, kernel, dtype), (x, kernel)
+def _deconv_forward(x, gain, offset, kernel, activation, dtype):
+  y, sums = deconv(x, gain, offset, kernel, activation, dtype)
+  return (y, sums), (x, gain, offset, kernel, y)
 
 
-def _deconv_backward(dtype, residuals, dy):
+def _deconv_backward(activation, dtype, residuals, cotangents):
   del dtype
-
-  def kernels(x, kernel, dy):
-    results = [_like(x), jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)]
-    dx, dkernel = native.call('cvn_deconv_gradient', results, x, kernel, dy, volumes=(0, 2))
-    return dx, _sum_samples(dkernel)
-
-  return _gradient_by_platform(kernels, phases.deconv, library_deconv, *residuals, dy)
+  *inputs, y = residuals
+  return _gradients('deconv', activation, inputs, y, cotangents)
 
 
-def _conv_forward(x, kernel):
-  return conv(x, kernel), (x, kernel)
+def _conv_forward(x, gain, offset, kernel, activation):
+  y, sums = conv(x, gain, offset, kernel, activation)
+  return (y, sums), (x, gain, offset, kernel, y)
 
 
-def _conv_backward(residuals, dy):
-  def kernels(x, kernel, dy):
-    shape = (len(x), kernel.shape[-1], *kernel.shape[:-1])
-    results = [_like(x), jax.ShapeDtypeStruct(shape, jnp.float32)]
-    dx, dkernel = native.call(
-      'cvn_conv_gradient', results, x, kernel, dy, volumes=(0, 2), in_place=0
-    )
-    return dx, jnp.moveaxis(_sum_samples(dkernel), 0, -1)
-
-  return _gradient_by_platform(kernels, phases.conv, library_conv, *residuals, dy)
+def _conv_backward(activation, residuals, cotangents):
+  *inputs, y = residuals
+  return _gradients('conv', activation, inputs, y, cotangents)
 
 
 deconv.defvjp(_deconv_forward, _deconv_backward)
 conv.defvjp(_conv_forward, _conv_backward)
 
 
-def _by_platform(kernels, products, library, dtype, x, kernel):
-  """Calls one of three programs for the same thing; the result's type is `dtype` or that of x."""
-
-  def on_cpu(x, kernel):
-    if native.available():
-      return kernels(x, kernel)
-    return products(*_rounded(x, kernel)).astype(dtype or x.dtype)
-
-  def elsewhere(x, kernel):
-    return library(x, kernel.astype(x.dtype)).astype(dtype or x.dtype)
-
-  return lax.platform_dependent(x, kernel, cpu=on_cpu, default=elsewhere)
+_LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
+_PRODUCTS = {'deconv': phases.deconv, 'conv': phases.conv}
 
 
-def _gradient_by_platform(kernels, products, library, x, kernel, dy):
-  """Calls one of three programs for the gradients of x and kernel."""
+def _forward(name, y, *arguments):
+  """(y, sums) of one of three programs; `y` tells its shape and type."""
+  *arrays, activation = arguments
 
-  def on_cpu(x, kernel, dy):
-    if native.available():
-      return kernels(x, kernel, dy)
-    wide, kernel, dy = _rounded(x, kernel, dy)
-    dx, dkernel = jax.vjp(products, wide, kernel)[1](dy)
-    return dx.astype(x.dtype), dkernel
+  def kernels(x, gain, offset, kernel):
+    results = [y, jax.ShapeDtypeStruct((len(x), 2, y.shape[-1]), jnp.float32)]
+    out, sums = native.call(
+      f'cvn_{name}', results, x, gain, offset, kernel, activation=activation.number
+    )
+    return out, sums.sum(0)
 
-  def elsewhere(x, kernel, dy):
-    dx, dkernel = jax.vjp(library, x, kernel.astype(x.dtype))[1](dy.astype(x.dtype))
-    return dx, dkernel.astype(jnp.float32)
+  def of(product):
+    def composed(x, gain, offset, kernel):
+      kernel = _factor(kernel, x, product)
+      out = product(activated(x, gain, offset, activation), kernel).astype(y.dtype)
+      wide, axes = out.astype(jnp.float32), (0, 1, 2, 3)
+      return out, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
 
-  return lax.platform_dependent(x, kernel, dy, cpu=on_cpu, default=elsewhere)
+    return composed
+
+  return by_platform(kernels, *map(of, _plain_programs(name)), *arrays)
 
 
-def _rounded(x, *others):
-  """All as float32, with no more digits than x has."""
-  return [a.astype(x.dtype).astype(jnp.float32) for a in (x, *others)]
+def _gradients(name, activation, inputs, y, cotangents):
+  """Those of x, gain, offset and kernel, of one of three programs."""
+
+  def kernels(x, gain, offset, kernel, y, dy, dsums):
+    taps, (cin, cout) = kernel.shape[:3], kernel.shape[3:]
+    order = {'deconv': (*taps, cin, cout), 'conv': (cout, *taps, cin)}[name]
+    results = [
+      jax.ShapeDtypeStruct(x.shape, x.dtype),
+      jax.ShapeDtypeStruct((len(x), 2, cin), jnp.float32),
+      jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
+    ]
+    dx, dcoefficients, dkernel = native.call(
+      f'cvn_{name}_gradient', results, x, gain, offset, kernel, y, dy, dsums,
+      volumes=(0, 4, 5), activation=activation.number,
+    )  # fmt: skip
+    doffset, dgain = dcoefficients.sum(0)
+    dkernel = _sum_samples(dkernel)
+    return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
+
+  def of(product):
+    def composed(x, gain, offset, kernel, y, dy, dsums):
+      first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
+      dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
+
+      def value(x, gain, offset, kernel):
+        return product(activated(x, gain, offset, activation), kernel)
+
+      kernel = _factor(kernel, x, product)
+      out, pull = jax.vjp(value, x, gain, offset, kernel)
+      *gradients, dkernel = pull(dy.astype(x.dtype).astype(out.dtype))
+      return *gradients, dkernel.astype(jnp.float32)
+
+    return composed
+
+  return by_platform(kernels, *map(of, _plain_programs(name)), *inputs, y, *cotangents)
+
+
+def _plain_programs(name):
+  """Two products f(a, kernel): of matrices, in float32, and the library's, in the type of a."""
+
+  def products(a, kernel):
+    return _PRODUCTS[name](a.astype(jnp.float32), kernel)
+
+  return products, _LIBRARY[name]
+
+
+def _factor(kernel, x, product):
+  """The kernel as a factor of a product with x: no more digits than x has."""
+  kernel = kernel.astype(x.dtype)
+  return kernel if product in _LIBRARY.values() else kernel.astype(jnp.float32)
+
+
+def by_platform(kernels, products, library, *arrays):
+  """Calls one of three programs for the same thing, whose choice is made when it is lowered."""
+
+  def on_cpu(*arrays):
+    return (kernels if native.available() else products)(*arrays)
+
+  return lax.platform_dependent(*arrays, cpu=on_cpu, default=library)
 
 
 def _sum_samples(x):
   """x.sum(0), as a product: the compiler's own sum over the first axis is slow."""
   return (jnp.ones((1, len(x))) @ x.reshape(len(x), -1)).reshape(x.shape[1:])
-
-
-def _like(x):
-  return jax.ShapeDtypeStruct(x.shape, x.dtype)

@@ -3,9 +3,11 @@
 Every layer of the authors' program has this form, the last ones included (epsilon 1e-3, biased
 batch variance). In training the collection `batch_stats` that `apply` returns holds the statistics
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
+A volume goes from layer to layer as the product left it, with what is still to be done: whoever
+reads it does that on the way (cvn/deconv.py).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +15,38 @@ from flax import linen as nn
 from jax import lax
 
 from cvn import deconv
-from cvn.normalization import ELU, IDENTITY, Activation, affine, normalize
+from cvn.normalization import (
+  ELU,
+  IDENTITY,
+  Activation,
+  activate,
+  affine,
+  coefficients,
+  moments,
+  normalize,
+)
 
 _glorot = nn.initializers.glorot_uniform()
+
+
+class Volume(NamedTuple):
+  """activation(gain x + offset), not computed yet."""
+
+  x: jax.Array  # [B, X, Y, Z, C]
+  gain: jax.Array  # [C]
+  offset: jax.Array  # [C]
+  activation: Activation
+
+
+def volume_of(x: jax.Array) -> Volume:
+  """An array as it is."""
+  c = x.shape[-1]
+  return Volume(x, jnp.ones(c), jnp.zeros(c), IDENTITY)
+
+
+def finish(volume: Volume) -> jax.Array:
+  """The array."""
+  return activate(*volume)
 
 
 class Norm(nn.Module):
@@ -28,11 +59,7 @@ class Norm(nn.Module):
 
   @nn.compact
   def __call__(self, x: jax.Array, bias: jax.Array, train: bool) -> jax.Array:
-    shape = x.shape[-1:]
-    scale = self.param('scale', nn.initializers.ones, shape)
-    offset = self.param('bias', nn.initializers.zeros, shape)
-    mean = self.variable('batch_stats', 'mean', jnp.zeros, shape)
-    variance = self.variable('batch_stats', 'var', jnp.ones, shape)
+    scale, offset, mean, variance = _norm_variables(self, x.shape[-1:])
     if not train:
       return affine(x, mean.value - bias, variance.value, scale, offset, self.activation)
     y, batch_mean, batch_variance = normalize(x, scale, offset, self.activation)
@@ -41,10 +68,43 @@ class Norm(nn.Module):
     return y
 
 
+class VolumeNorm(nn.Module):
+  """The same of a volume, whose sums are known."""
+
+  activation: Activation
+
+  @nn.compact
+  def __call__(self, x: jax.Array, sums: jax.Array, bias: jax.Array, train: bool) -> Volume:
+    scale, offset, mean, variance = _norm_variables(self, x.shape[-1:])
+    if not train:
+      found = mean.value - bias, variance.value
+    else:
+      found = moments(sums, x)
+      if not self.is_initializing():
+        mean.value, variance.value = found[0] + bias, found[1]
+    return Volume(x, *coefficients(*found, scale, offset), self.activation)
+
+
+def _norm_variables(module: nn.Module, shape):
+  """Scale, offset and the running statistics, in `module`'s scope."""
+  return (
+    module.param('scale', nn.initializers.ones, shape),
+    module.param('bias', nn.initializers.zeros, shape),
+    module.variable('batch_stats', 'mean', jnp.zeros, shape),
+    module.variable('batch_stats', 'var', jnp.ones, shape),
+  )
+
+
 def _finish(module: nn.Module, x, activation, train):
   """Bias, normalisation and activation, in `module`'s scope."""
   bias = module.param('bias', nn.initializers.zeros, x.shape[-1:])
   return Norm(activation, name='norm')(x, bias, train)
+
+
+def _finish_volume(module: nn.Module, x, sums, activation, train) -> Volume:
+  """The same of a volume."""
+  bias = module.param('bias', nn.initializers.zeros, x.shape[-1:])
+  return VolumeNorm(activation, name='norm')(x, sums, bias, train)
 
 
 class Dense(nn.Module):
@@ -83,9 +143,11 @@ class Deconv3D(nn.Module):
   dtype: Any = None
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.deconv(x, kernel, self.dtype), self.activation, train)
+  def __call__(self, volume: Volume, train: bool) -> Volume:
+    kernel = self.param('kernel', _glorot, (3, 3, 3, volume.x.shape[-1], self.features))
+    *arrays, activation = volume
+    y, sums = deconv.deconv(*arrays, kernel, activation, self.dtype)
+    return _finish_volume(self, y, sums, self.activation, train)
 
 
 class Conv3D(nn.Module):
@@ -95,6 +157,8 @@ class Conv3D(nn.Module):
   activation: Activation = IDENTITY
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    kernel = self.param('kernel', _glorot, (3, 3, 3, x.shape[-1], self.features))
-    return _finish(self, deconv.conv(x, kernel), self.activation, train)
+  def __call__(self, volume: Volume, train: bool) -> Volume:
+    kernel = self.param('kernel', _glorot, (3, 3, 3, volume.x.shape[-1], self.features))
+    *arrays, activation = volume
+    y, sums = deconv.conv(*arrays, kernel, activation)
+    return _finish_volume(self, y, sums, self.activation, train)

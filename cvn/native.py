@@ -1,4 +1,4 @@
-"""The compiled kernels of kernels.cc: built once with the machine's C++ compiler, and kept.
+"""The compiled kernels of kernels/: built once with the machine's C++ compiler, and kept.
 
 Nothing needs them: where there is no compiler, cvn/deconv.py takes matrix products instead, which
 are several times slower, and one line says so. CVN_KERNELS=off does the same without a word, and
@@ -24,17 +24,15 @@ from absl import logging
 from jax.experimental.custom_partitioning import custom_partitioning
 from jax.sharding import NamedSharding, PartitionSpec
 
-SOURCE = pathlib.Path(__file__).with_name('kernels.cc')
+SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
 BLOCKS = pathlib.Path(__file__).with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
   'cvn_conv',
   'cvn_conv_gradient',
-  'cvn_moments',
   'cvn_activated',
-  'cvn_gradient_sums',
-  'cvn_input_gradient',
+  'cvn_activated_gradient',
 )
 _COMPILERS = ('c++', 'g++', 'clang++')
 _FLAGS = ('-std=c++17', '-O3', '-shared', '-fPIC', '-Wno-psabi')
@@ -118,7 +116,7 @@ def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> 
 
   Args:
     folder: where it is kept; None for the user's cache.
-    source: what to compile.
+    source: what to compile; it may include headers beside it.
 
   Raises:
     OSError: there is no compiler, or the folder cannot be written.
@@ -127,7 +125,9 @@ def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> 
   compiler = _compiler()
   folder = folder or _cache()
   version = subprocess.run([compiler, '--version'], capture_output=True, check=True, timeout=60)
-  told = [source.read_bytes(), version.stdout, _processor().encode(), jaxlib.__version__.encode()]
+  headers = sorted(source.parent.glob('*.h'))
+  told = [f.read_bytes() for f in (source, *headers)]
+  told += [version.stdout, _processor().encode(), jaxlib.__version__.encode()]
   path = folder / f'{source.stem}-{hashlib.sha256(b"|".join(told)).hexdigest()[:16]}.so'
   if path.exists():
     return path

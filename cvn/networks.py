@@ -14,7 +14,7 @@ from flax import linen as nn
 
 from cvn.camera import IMAGE_SIZE
 from cvn.grid import GRID_SIZE
-from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense
+from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
 from cvn.normalization import IDENTITY, SIGMOID, Activation
 
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
@@ -49,7 +49,7 @@ class Decoder(nn.Module):
   """[B, s, s, s, 128] -> [B, 8 s, 8 s, 8 s, 32]."""
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+  def __call__(self, x: Volume, train: bool) -> Volume:
     for i, channels in enumerate(DECODER):
       x = Deconv3D(channels, name=f'deconv{i}')(x, train)
     return x
@@ -63,7 +63,7 @@ class Trunk(nn.Module):
   mixed: bool = False
 
   @nn.compact
-  def __call__(self, image: jax.Array, train: bool) -> jax.Array:
+  def __call__(self, image: jax.Array, train: bool) -> Volume:
     if image.ndim != 4 or image.shape[1:] != (self.image_size, self.image_size, 3):
       raise ValueError(
         f'images must be [B, {self.image_size}, {self.image_size}, 3]: {image.shape}'
@@ -71,7 +71,7 @@ class Trunk(nn.Module):
     s = self.grid_size // 2 ** (len(DECODER) + 1)
     x = Encoder(s**3 * 128, name='encoder')(image, train)
     x = x.astype(jnp.bfloat16 if self.mixed else jnp.float32)
-    return Decoder(name='decoder')(x.reshape(-1, s, s, s, 128), train)
+    return Decoder(name='decoder')(volume_of(x.reshape(-1, s, s, s, 128)), train)
 
 
 class Head(nn.Module):
@@ -82,20 +82,20 @@ class Head(nn.Module):
   activation: Activation = IDENTITY
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+  def __call__(self, x: Volume, train: bool) -> jax.Array:
     x = Deconv3D(self.hidden, name='deconv')(x, train)
-    return Conv3D(self.features, self.activation, name='conv')(x, train)
+    return finish(Conv3D(self.features, self.activation, name='conv')(x, train))
 
 
 class FlowHead(nn.Module):
   """The flow volume comes from one deconvolution, as in the authors' program."""
 
   @nn.compact
-  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    return Deconv3D(2, SIGMOID, jnp.float32, name='deconv')(x, train)
+  def __call__(self, x: Volume, train: bool) -> jax.Array:
+    return finish(Deconv3D(2, SIGMOID, jnp.float32, name='deconv')(x, train))
 
 
-def _color_heads(x: jax.Array, train: bool) -> ColorVolumes:
+def _color_heads(x: Volume, train: bool) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
     Head(16, 3, SIGMOID, name='regressed')(x, train),

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from cvn import networks, objectives, surface
+from cvn import layers, networks, objectives, surface
 from cvn.networks import Trunk
 from cvn.recipe import Recipe, norm_decay
 
@@ -176,7 +176,9 @@ def _surface_objective(params, batch_stats, batch, trunk, recipe):
     return loss, (terms, statistics)
 
   near = surface.near_cells(batch.index, trunk.grid_size)
-  loss, (found, statistics) = surface.by_capacity(heads_loss, near, heads, features, batch, near)
+  loss, (found, statistics) = surface.by_capacity(
+    heads_loss, near, heads, layers.finish(features), batch, near
+  )
   if recipe.kernel_penalty:
     loss = loss + recipe.kernel_penalty * _kernel_sum(params)
   return loss, ({'loss': loss, **found}, {'trunk': mutated['batch_stats'], **statistics})

@@ -3,7 +3,7 @@
 The floor is the larger of operations over the machine's measured peak and of bytes over its
 measured bandwidth, where every array is read or written once (what normalisation reads twice is
 counted twice: statistics come first). A layer with weights is timed without its normalisation,
-which has a line of its own.
+which has a line of its own; only that of volumes is part of the layers before and after it.
 """
 
 import statistics
@@ -17,7 +17,7 @@ import numpy as np
 
 from cvn import train
 from cvn.camera import IMAGE_SIZE
-from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, Norm
+from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, Norm, Volume, VolumeNorm
 
 REPEATS = 5
 HEADER = (
@@ -40,7 +40,7 @@ class Layer(NamedTuple):
 
   name: str
   module: nn.Module  # unbound
-  inputs: tuple[jax.ShapeDtypeStruct, ...]  # the arrays of its call
+  inputs: tuple[jax.ShapeDtypeStruct | Volume, ...]  # of its call
   output: jax.ShapeDtypeStruct
 
 
@@ -105,9 +105,9 @@ def layers_of(network: nn.Module, batch_size: int) -> list[Layer]:
     place, module = len(found), context.module
     y = call(*args, **kwargs)
     if isinstance(module, (Conv2D, Dense, Deconv3D, Conv3D, Norm)):
-      *arrays, _ = args
-      inputs = tuple(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays)
-      output = jax.ShapeDtypeStruct(y.shape, y.dtype)
+      inputs, output = jax.tree.map(
+        lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), (args[:-1], _array(y))
+      )
       path = tuple(p for p in module.path if p != 'trunk')
       # Before the normalisation in it, which has ended by now.
       found.insert(place, Layer('/'.join(path), module.clone(parent=None), inputs, output))
@@ -127,18 +127,21 @@ def count_operations(layer: Layer) -> int:
   """
   if isinstance(layer.module, Norm):
     return 0
-  places = layer.inputs[0] if isinstance(layer.module, Deconv3D) else layer.output
+  places = _array(layer.inputs[0]) if isinstance(layer.module, Deconv3D) else layer.output
   kernel = _parameters(layer)['kernel']
   return 2 * int(np.prod(places.shape[:-1])) * kernel.size
 
 
 def count_bytes(layer: Layer, needs_input_gradient: bool) -> tuple[int, int]:
   """Read and written by the forward and by the backward pass."""
-  x, y = _nbytes(layer.inputs[0]), _nbytes(layer.output)
+  x, y = _nbytes(_array(layer.inputs[0])), _nbytes(layer.output)
   if isinstance(layer.module, Norm):
     return 2 * x + y, 2 * (x + y) + x
   kernel = _nbytes(_parameters(layer)['kernel'])
-  return x + kernel + y, x + y + kernel + (x + kernel if needs_input_gradient else 0)
+  read = x + y + kernel
+  if isinstance(layer.inputs[0], Volume):
+    read += y  # its statistics' part of the gradient depends on it
+  return x + kernel + y, read + (x + kernel if needs_input_gradient else 0)
 
 
 def format_rows(rows: list[Row], peaks: Peaks) -> str:
@@ -180,7 +183,7 @@ def _time_layer(layer, peaks, needs_input_gradient) -> Row:
   backward = statistics.median(time_calls(jax.jit(lambda pulled, dy: pulled(dy)), pulled, dy))
   operations, moved = count_operations(layer), count_bytes(layer, needs_input_gradient)
   of_backward = operations * (2 if needs_input_gradient else 1)
-  dtype = str(layer.inputs[0].dtype)
+  dtype = str(_array(layer.inputs[0]).dtype)
   peak = peaks.bfloat16 if dtype == 'bfloat16' else peaks.float32
   costs = [
     Cost(count, amount, max(count / peak, amount / peaks.bandwidth), seconds)
@@ -195,13 +198,13 @@ def _alone(module):
   """f(parameters, *inputs): the layer without its normalisation, or the normalisation."""
 
   def skip(call, args, kwargs, context):
-    inner = isinstance(context.module, Norm) and not isinstance(module, Norm)
+    inner = isinstance(context.module, (Norm, VolumeNorm)) and not isinstance(module, Norm)
     return args[0] if inner else call(*args, **kwargs)
 
   def function(parameters, *inputs):
     with nn.intercept_methods(skip):
       y, _ = module.apply({'params': parameters}, *inputs, True, mutable='batch_stats')
-    return y
+    return _array(y)
 
   return function
 
@@ -212,6 +215,11 @@ def _parameters(layer):
     lambda k, *x: layer.module.init(k, *x, True), jax.random.key(0), *layer.inputs
   )['params']
   return {name: shape for name, shape in shapes.items() if name != 'norm'}
+
+
+def _array(x):
+  """Of a volume what is kept of it."""
+  return x.x if isinstance(x, Volume) else x
 
 
 def _numbers(shape):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from cvn import deconv, native, phases
+from cvn import deconv, layers, native
+from cvn.normalization import ELU, IDENTITY, SIGMOID
 
 # [B, X, Y, Z, in] and out.
 SHAPES = [
@@ -16,9 +17,22 @@ SHAPES = [
   ((2, 2, 2, 17, 33), 5),
   ((1, 2, 1, 32, 24), 16),
 ]
+
+
+def plain_deconv(x, kernel, *dtype):
+  """Of x as it is."""
+  *arrays, activation = layers.volume_of(x)
+  return deconv.deconv(*arrays, kernel, activation, *dtype)[0]
+
+
+def plain_conv(x, kernel):
+  *arrays, activation = layers.volume_of(x)
+  return deconv.conv(*arrays, kernel, activation)[0]
+
+
 PROGRAMS = {
-  'deconv': (deconv.deconv, phases.deconv, deconv.library_deconv),
-  'conv': (deconv.conv, phases.conv, deconv.library_conv),
+  'deconv': (plain_deconv, deconv.deconv, deconv.library_deconv),
+  'conv': (plain_conv, deconv.conv, deconv.library_conv),
 }
 
 CUSTOM_CALLS = [jax.export.DisabledSafetyCheck.custom_call(name) for name in native.KERNELS]
@@ -64,6 +78,35 @@ def test_value_and_gradients(program, name, shape, cout):
   assert_close(got, value_and_pullback(library, x, kernel, cotangent))
 
 
+@pytest.mark.parametrize('activation', [IDENTITY, ELU, SIGMOID])
+@pytest.mark.parametrize(('shape', 'cout'), SHAPES)
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_what_comes_before_the_product_and_what_is_summed_behind_it(
+  program, name, shape, cout, activation
+):
+  _, ours, library = PROGRAMS[name]
+  rng = np.random.default_rng(4)
+  cin = shape[-1]
+  shapes = shape, (cin,), (cin,), (3, 3, 3, cin, cout)
+  arguments = [draw(rng, *s) for s in shapes]
+
+  def composed(x, gain, offset, kernel):
+    gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
+    y = library(activation.value(x * gain + offset), kernel)
+    axes = (0, 1, 2, 3)
+    return y, jnp.stack([y.sum(axes), (y * y).sum(axes)])
+
+  expected, pull = jax.vjp(composed, *arguments)
+  cotangents = draw(rng, *expected[0].shape), draw(rng, 2, cout)
+
+  @jax.jit
+  def value_and_gradients(*arguments):
+    value, pull = jax.vjp(lambda *a: ours(*a, activation), *arguments)
+    return *value, *pull(cotangents)
+
+  assert_close(value_and_gradients(*arguments), [*expected, *pull(cotangents)])
+
+
 @pytest.mark.parametrize(('shape', 'cout'), SHAPES)
 @pytest.mark.parametrize('name', PROGRAMS)
 def test_bfloat16_volumes_round_factors_and_results_and_nothing_else(program, name, shape, cout):
@@ -90,7 +133,7 @@ def test_a_bfloat16_volume_may_give_a_float32_one(program):
   rng = np.random.default_rng(3)
   x, kernel = draw(rng, 2, 3, 4, 5, 8).astype(jnp.bfloat16), draw(rng, 3, 3, 3, 8, 2)
   function = jax.jit(
-    lambda *a: value_and_pullback(lambda x, k: deconv.deconv(x, k, jnp.float32), *a)
+    lambda *a: value_and_pullback(lambda x, k: plain_deconv(x, k, jnp.float32), *a)
   )
   dy = draw(rng, 2, 6, 8, 10, 2)
   out, dx, dkernel = function(x, kernel, dy)

@@ -22,8 +22,9 @@ class Small(nn.Module):
   def __call__(self, image, train):
     x = layers.Conv2D(8, 128, padding='VALID', name='conv')(image, train)
     x = layers.Dense(16, name='dense')(x.reshape(len(x), -1), train)
-    x = layers.Deconv3D(3, name='deconv')(x.reshape(-1, 2, 2, 2, 2), train)
-    return layers.Conv3D(1, name='conv3')(x, train)
+    x = layers.volume_of(x.reshape(-1, 2, 2, 2, 2))
+    x = layers.Deconv3D(3, name='deconv')(x, train)
+    return layers.finish(layers.Conv3D(1, name='conv3')(x, train))
 
 
 def array(*shape, dtype=jnp.float32):
@@ -34,8 +35,8 @@ def test_layers_come_in_the_order_of_the_forward_pass():
   found = layer_table.layers_of(train.NETWORKS['shape'], 2)
   names = [layer.name for layer in found]
   assert names[:2] == ['encoder/conv0', 'encoder/conv0/norm']
-  assert names[-4:] == ['head/deconv', 'head/deconv/norm', 'head/conv', 'head/conv/norm']
-  assert len(names) == 2 * (6 + 2 + 3 + 2)
+  assert names[-2:] == ['head/deconv', 'head/conv']
+  assert len(names) == 2 * (6 + 2) + 3 + 2
   sizes = {layer.name: layer.output.shape for layer in found}
   assert sizes['head/deconv'] == (2, 64, 64, 64, 24)
   assert sizes['encoder/latent1/norm'] == (2, 8192)
@@ -48,19 +49,20 @@ def test_operations_by_hand():
   assert count(found['encoder/latent0']) == 2 * 3 * 512 * 512
   assert count(found['head/deconv']) == 2 * 3 * 32**3 * 27 * 32 * 24
   assert count(found['head/conv']) == 2 * 3 * 64**3 * 27 * 24
-  assert count(found['head/deconv/norm']) == 0
+  assert count(found['encoder/conv0/norm']) == 0
 
 
 @pytest.mark.parametrize('dtype, size', [(jnp.float32, 4), (jnp.bfloat16, 2)])
 def test_bytes_by_hand(dtype, size):
   x, y = array(2, 4, 4, 4, 5, dtype=dtype), array(2, 8, 8, 8, 3, dtype=dtype)
-  layer = Layer('', layers.Deconv3D(3), (x,), y)
+  volume = layers.Volume(x, array(5), array(5), layers.ELU)
+  layer = Layer('', layers.Deconv3D(3), (volume,), y)
   read, kernel, written = size * 2 * 64 * 5, 4 * 27 * 5 * 3, size * 2 * 512 * 3
   assert layer_table.count_bytes(layer, True) == (
     read + kernel + written,
-    2 * read + 2 * kernel + written,
+    2 * read + 2 * kernel + 2 * written,
   )
-  assert layer_table.count_bytes(layer, False)[1] == read + kernel + written
+  assert layer_table.count_bytes(layer, False)[1] == read + kernel + 2 * written
   norm = Layer('', layers.Norm(layers.ELU), (y, array(3)), y)
   assert layer_table.count_bytes(norm, True) == (3 * written, 5 * written)
 
@@ -68,7 +70,8 @@ def test_bytes_by_hand(dtype, size):
 def test_rows_of_a_network(monkeypatch):
   monkeypatch.setitem(train.NETWORKS, 'small', Small())
   rows = layer_table.time_layers('small', 2, False, PEAKS)
-  assert [r.name for r in rows[::2]] == ['conv', 'dense', 'deconv', 'conv3']
+  names = ['conv', 'conv/norm', 'dense', 'dense/norm', 'deconv', 'conv3']
+  assert [r.name for r in rows] == names
   first, dense = rows[0], rows[2]
   assert first.backward.operations == first.forward.operations  # a picture needs no gradient
   assert dense.backward.operations == 2 * dense.forward.operations == 4 * 2 * 8 * 16

@@ -1,13 +1,13 @@
 """What the benchmark measures is what it says; how fast that was is no test's business."""
 
+import functools
 import os
 
 import jax
-import numpy as np
 import pytest
 import synthetic
 
-from cvn import deconv, layers
+from cvn import deconv
 from cvn.errors import UserError
 from experiments import measuring
 
@@ -38,14 +38,12 @@ def test_steps():
 
 
 def test_reference_uses_the_librarys_deconvolution(monkeypatch):
-  called, deconv_before = [], deconv.deconv
-  monkeypatch.setattr(deconv, 'library_deconv', lambda x, kernel: called.append(x.shape))
-  monkeypatch.setattr(
-    measuring, 'time_steps', lambda *_: layers.deconv.deconv(np.zeros((2, 4)), None, None)
-  )
+  called, choice_before = [], deconv.by_platform
+  programs = [functools.partial(called.append, name) for name in ('kernels', 'products', 'library')]
+  monkeypatch.setattr(measuring, 'time_steps', lambda *_: deconv.by_platform(*programs))
   measuring.time_reference('shape')
-  assert called == [(2, 4)]
-  assert deconv.deconv is deconv_before
+  assert called == ['library']
+  assert deconv.by_platform is choice_before
 
 
 def test_machine():

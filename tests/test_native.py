@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
-from cvn import deconv, native, normalization
+from cvn import deconv, layers, native, normalization
 
 HAS_COMPILER = native.available()
 
@@ -45,8 +45,9 @@ def test_a_source_that_does_not_compile_leaves_nothing(tmp_path):
 def run_python(tmp_path, **environment):
   """Takes a gradient in a process of its own; what it prints."""
   code = (
-    'import jax, jax.numpy as jnp; from cvn import deconv, native;'
-    'f = jax.grad(lambda k: (deconv.deconv(jnp.ones((1, 2, 2, 2, 3)), k) ** 2).sum());'
+    'import jax, jax.numpy as jnp; from cvn import deconv, layers, native;'
+    'x, gain, offset, activation = layers.volume_of(jnp.ones((1, 2, 2, 2, 3)));'
+    'f = jax.grad(lambda k: (deconv.deconv(x, gain, offset, k, activation)[0] ** 2).sum());'
     'print(native.available(), float(f(jnp.ones((3, 3, 3, 3, 2))).sum()))'
   )
   environment = os.environ | {'XDG_CACHE_HOME': str(tmp_path)} | environment
@@ -84,10 +85,16 @@ def test_devices_take_their_own_samples():
   ]
 
   @jax.jit
-  def step(x, weights):
+  def step(images, weights):
     def loss(w):
-      y = normalization.normalize(deconv.deconv(x, w[0]), w[2], w[3], normalization.ELU)[0]
-      return jnp.sum(deconv.conv(y, w[1]) ** 2)
+      def normal(y, sums, scale, offset):
+        moments = normalization.moments(sums, y)
+        return y, *normalization.coefficients(*moments, scale, offset)
+
+      x, *coefficients, identity = layers.volume_of(images)
+      y = normal(*deconv.deconv(x, *coefficients, w[0], identity), w[2], w[3])
+      y = normal(*deconv.conv(*y, w[1], normalization.ELU), w[2][:1], w[3][:1])
+      return jnp.sum(normalization.activate(*y, normalization.SIGMOID) ** 2)
 
     return jax.value_and_grad(loss)(weights)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
-from cvn import deconv, normalization, surface
+from cvn import deconv, layers, normalization, surface
 from cvn.grid import PADDING_INDEX
 from cvn.networks import ColorNetwork, ColorVolumes, Trunk
 
@@ -159,7 +159,7 @@ def test_with_the_same_statistics_it_is_the_color_network(rng):
     near = surface.near_cells(index, 32)
     places = surface.find_places(near, index, near.size)
     heads = {name: p for name, p in params.items() if name != 'trunk'}
-    values, statistics = surface.color_heads(heads, features, places, mixed=False)
+    values, statistics = surface.color_heads(heads, layers.finish(features), places, mixed=False)
     statistics = {'trunk': mutated['batch_stats'], **statistics}
     volumes = network.apply({'params': params, 'batch_stats': statistics}, image, train=False)
     return values, statistics, volumes, stats

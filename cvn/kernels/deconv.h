@@ -275,7 +275,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
       }
       moments.AddTwo(places.data(), in.size, in.padded);
     }
-    for (int i = 0; i < 2 * s.cin; ++i) sums[sample * 2 * s.cin + i] = moments.data()[i];
+    moments.CopyTo(sums + sample * 2 * s.cin);
     for (int64_t t = 0; t < kTaps; ++t) {
       Unpad(total.data() + t * wide_in * wide_out, wide_out, s.cin, s.cout,
             dw + (sample * kTaps + t) * s.cin * s.cout);

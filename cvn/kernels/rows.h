@@ -13,20 +13,19 @@ namespace cvn {
 
 enum Activation : int64_t { kIdentity = 0, kElu = 1, kSigmoid = 2 };
 
-// e^x to two units in the last place: 2^n e^r, |r| <= ln(2) / 2, and Taylor's polynomial.
+CVN_INLINE Vec Larger(Vec a, Vec b) { return a > b ? a : b; }
+CVN_INLINE Vec Smaller(Vec a, Vec b) { return a < b ? a : b; }
+
+// e^x for x from -87 to 88, within 2e-7 of it near 0 and 2e-6 at the ends: 2^n 2^r, |r| <= 1/2.
 CVN_INLINE Vec Exp(Vec x) {
-  x = Select(x < -87.0f, Vec{} - 87.0f, x);
-  x = Select(x > 88.0f, Vec{} + 88.0f, x);
-  const float kShift = 12582912.0f;  // 1.5 2^23: adding it rounds to a whole number
-  const Vec shifted = x * 1.44269504f + kShift;
-  const Vec n = shifted - kShift;
-  const Vec r = x - n * 0.693359375f + n * 2.12194440e-4f;
-  Vec p = r * (1.0f / 5040) + 1.0f / 720;
-  p = p * r + 1.0f / 120;
-  p = p * r + 1.0f / 24;
-  p = p * r + 1.0f / 6;
-  p = p * r + 0.5f;
-  p = p * (r * r) + r + 1.0f;
+  const float kShift = 12582912.0f, kLog2E = 1.44269504f;  // 1.5 2^23: adding it rounds
+  const Vec shifted = x * kLog2E + kShift;
+  const Vec r = x * kLog2E - (shifted - kShift);
+  Vec p = r * 0.0013264727f + 0.009671513f;  // the polynomial that errs by 9e-8 at most
+  p = p * r + 0.055507336f;
+  p = p * r + 0.24022242f;
+  p = p * r + 0.6931470f;
+  p = p * r + 1.0f;
   const Ints power = reinterpret_cast<Ints>(shifted) << 23;  // n in the lowest bits
   return reinterpret_cast<Vec>(reinterpret_cast<Ints>(p) + power);
 }
@@ -36,11 +35,11 @@ template <Activation kActivation>
 CVN_INLINE void Activate(Vec v, Vec* value, Vec* slope) {
   const Vec one = Vec{} + 1.0f;
   if constexpr (kActivation == kElu) {
-    const Vec e = Exp(Select(v > 0.0f, Vec{}, v));
-    *value = Select(v > 0.0f, v, e - one);
+    const Vec e = Exp(Larger(Smaller(v, Vec{}), Vec{} - 87.0f));
+    *value = Larger(v, Vec{}) + (e - one);
     *slope = e;  // 1 above 0
   } else if constexpr (kActivation == kSigmoid) {
-    *value = one / (one + Exp(-v));
+    *value = one / (one + Exp(Larger(Smaller(-v, Vec{} + 88.0f), Vec{} - 87.0f)));
     *slope = *value * (one - *value);
   } else {
     *value = v;
@@ -105,8 +104,8 @@ class Source {
   // The same as a factor of a product, [z][padded].
   template <typename To>
   void Row(int64_t row, int64_t padded, float* scratch, To* to) const {
-    if (std::is_same_v<T, To> && padded == channels && size % kLanes == 0) {
-      return Row(row, reinterpret_cast<float*>(to));
+    if constexpr (std::is_same_v<T, float> && std::is_same_v<To, float>) {
+      if (padded == channels && size % kLanes == 0) return Row(row, to);
     }
     Row(row, scratch);
     RoundRow<T, To>(scratch, size);
@@ -150,6 +149,7 @@ class Cotangent {
  public:
   Cotangent(const T* y, const T* dy, const float* dsums, int64_t z, int64_t channels)
       : size(z * channels),
+        padded(RoundUp(size, kLanes)),
         z_(z),
         channels_(channels),
         y_(y),
@@ -207,6 +207,27 @@ class Sums {
     }
   }
 
+  // Numbers and squares of a run of n, channel after channel.
+  void AddRun(const float* run, int64_t n) {
+    const int64_t period = kLanes * channels_, whole = n / period * period;
+    for (int64_t v = 0; v < period; v += kLanes) {
+      Vec first = {}, second = {};
+      for (int64_t i = v; i < whole; i += period) {
+        const Vec x = Load(run + i);
+        first += x;
+        second += x * x;
+      }
+      for (int64_t l = 0; l < kLanes; ++l) {
+        total_[(v + l) % channels_] += first[l];
+        total_[channels_ + (v + l) % channels_] += second[l];
+      }
+    }
+    for (int64_t i = whole; i < n; ++i) {
+      total_[i % channels_] += run[i];
+      total_[channels_ + i % channels_] += double{run[i]} * run[i];
+    }
+  }
+
   // The first `size` of each of [2][padded], which become zero.
   void AddTwo(float* sums, int64_t size, int64_t padded) {
     for (int64_t i = 0; i < size; ++i) {
@@ -217,6 +238,9 @@ class Sums {
   }
 
   const double* data() const { return total_.data(); }
+  void CopyTo(float* to) const {
+    for (int64_t i = 0; i < 2 * channels_; ++i) to[i] = static_cast<float>(total_.data()[i]);
+  }
 
  private:
   const int64_t channels_;

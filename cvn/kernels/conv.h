@@ -1,0 +1,475 @@
+// The 3x3x3 convolution of f(gain x + offset) to a few channels, and its gradients: along one axis,
+// o[v] += z[v + t - 1] w[t].
+
+#ifndef CVN_CONV_H_
+#define CVN_CONV_H_
+
+#include "deconv.h"
+
+namespace cvn {
+
+template <int... kIndex>
+Vec AddNeighbours(Vec a, Vec b, std::integer_sequence<int, kIndex...>) {
+#if defined(__clang__) || __GNUC__ >= 12
+  return __builtin_shufflevector(a, b, 2 * kIndex...) +
+         __builtin_shufflevector(a, b, (2 * kIndex + 1)...);
+#else
+  const Ints even = {2 * kIndex...}, odd = {2 * kIndex + 1 ...};
+  return __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, odd);
+#endif
+}
+
+// The sums of 16 vectors' lanes, as one vector.
+inline Vec SumLanes(Vec* v) {
+  for (int n = 16; n > 1; n /= 2) {
+    for (int i = 0; i < n / 2; ++i) {
+      v[i] = AddNeighbours(v[2 * i], v[2 * i + 1], std::make_integer_sequence<int, 16>());
+    }
+  }
+  return v[0];
+}
+
+// Sixteen voxels of one output: `from` are the taps' rows, `weight` is [27][wide].
+template <typename Width>
+Vec Convolve16(const float* const* from, const float* weight, Width wide) {
+  Vec sum[16] = {};
+  for (int t = 0; t < kTaps; ++t) {
+    const float* row = from[t];
+    for (int64_t c = 0; c < wide; c += kLanes) {
+      const Vec factor = Load(weight + t * wide + c);
+#pragma GCC unroll 16
+      for (int i = 0; i < 16; ++i) sum[i] += Load(row + i * wide + c) * factor;
+    }
+  }
+  return SumLanes(sum);
+}
+
+// What makes planes of the output: each for one kind of products.
+template <typename Product>
+class Convolution;
+
+template <>
+class Convolution<Vectors> {
+ public:
+  Convolution(const Volume& s, const float* w)
+      : s_(s), wide_(RoundUp(s.cin, kLanes)), weight_(s.cout * kTaps * wide_) {
+    for (int64_t t = 0; t < kTaps; ++t) {
+      for (int64_t i = 0; i < s.cin; ++i) {
+        for (int64_t o = 0; o < s.cout; ++o) {
+          weight_[(o * kTaps + t) * wide_ + i] = w[(t * s.cin + i) * s.cout + o];
+        }
+      }
+    }
+  }
+
+  // Of a plane's buffer, whose rows and voxels have a margin of one.
+  int64_t padded() const { return wide_; }
+  int64_t row_size() const { return (RoundUp(s_.z, kLanes) + 2) * wide_; }
+  int64_t rows() const { return s_.y + 2; }
+
+  // Three planes -> [y][z][out].
+  void Plane(const float* const* planes, float* out) const {
+    // Along y first: two thirds of what a voxel reads is then in the nearest cache.
+    for (int64_t z = 0; z < s_.z; z += kLanes) {
+      for (int64_t y = 0; y < s_.y; ++y) {
+        const float* from[kTaps];
+        for (int t = 0; t < kTaps; ++t) {
+          from[t] = planes[t / 9] + (y + t / 3 % 3) * row_size() + (z + t % 3) * wide_;
+        }
+        float* to = out + (y * s_.z + z) * s_.cout;
+        for (int64_t o = 0; o < s_.cout; ++o) {
+          const float* weight = weight_.data() + o * kTaps * wide_;
+          const Vec sums = wide_ == 2 * kLanes
+                               ? Convolve16(from, weight, std::integral_constant<int64_t, 32>())
+                               : Convolve16(from, weight, wide_);
+          for (int64_t i = 0; i < std::min(kLanes, s_.z - z); ++i) to[i * s_.cout + o] = sums[i];
+        }
+      }
+    }
+  }
+
+ private:
+  const Volume& s_;
+  const int64_t wide_;
+  Scratch<float> weight_;  // [out][27][in]
+};
+
+#if CVN_TILES
+
+// A product gives what a voxel contributes to some rows of outputs and to the voxel before, its own
+// and the one behind; these three are added in the end.
+template <>
+class Convolution<Tiles> {
+ public:
+  Convolution(const Volume& s, const float* w)
+      : s_(s),
+        deep_(RoundUp(s.cin, kTileDepth)),
+        strip_(std::max<int64_t>(kLanes / (3 * s.cout), 1)),
+        wide_(RoundUp(strip_ * 3 * s.cout, kLanes)),
+        weight_(3 * (strip_ + 2) * deep_ * wide_) {
+    for (int64_t n = 0; n < 3 * (strip_ + 2); ++n) {  // plane, and row from the one before the strip
+      Scratch<float> dense(s.cin * wide_);
+      for (int64_t row = 0; row < strip_; ++row) {
+        const int64_t y = n % (strip_ + 2) - row;
+        if (y < 0 || y > 2) continue;
+        for (int64_t z = 0; z < 3; ++z) {
+          const float* from = w + ((n / (strip_ + 2) * 3 + y) * 3 + z) * s.cin * s.cout;
+          for (int64_t i = 0; i < s.cin * s.cout; ++i) {
+            dense[i / s.cout * wide_ + (row * 3 + z) * s.cout + i % s.cout] = from[i];
+          }
+        }
+      }
+      Tiles::Pack(dense.data(), wide_, 1, s.cin, wide_, weight_.data() + n * deep_ * wide_);
+    }
+  }
+
+  int64_t padded() const { return deep_; }
+  int64_t row_size() const { return (RoundUp(s_.z, kTileRows) + 2) * deep_; }
+  int64_t rows() const { return RoundUp(s_.y, strip_) + 2; }
+
+  void Plane(const Bf16* const* planes, float* out) const {
+    const int64_t high = RoundUp(s_.z, kTileRows), taps = 3 * (strip_ + 2);
+    Scratch<float> given((high + 2) * wide_);  // a voxel before the first and behind the last
+    for (int64_t y = 0; y < s_.y; y += strip_) {
+      const Bf16 *a[kMaxTaps], *b[kMaxTaps];
+      for (int64_t n = 0; n < taps; ++n) {
+        a[n] = planes[n / (strip_ + 2)] + (y + n % (strip_ + 2)) * row_size() + deep_;
+        b[n] = weight_.data() + n * deep_ * wide_;
+      }
+      TileMultiply<false>(taps, a, deep_, b, high, deep_, wide_, given.data() + wide_, wide_);
+      for (int64_t row = 0; row < std::min(strip_, s_.y - y); ++row) {
+        float* to = out + (y + row) * s_.z * s_.cout;
+        const float* from = given.data() + row * 3 * s_.cout;
+        for (int64_t z = 0; z < s_.z; ++z, from += wide_) {
+          for (int64_t o = 0; o < s_.cout; ++o) {
+            to[z * s_.cout + o] = from[o] + from[wide_ + s_.cout + o] +
+                                  from[2 * (wide_ + s_.cout) + o];
+          }
+        }
+      }
+    }
+  }
+
+ private:
+  const Volume& s_;
+  const int64_t deep_, strip_, wide_;
+  Scratch<Bf16> weight_;
+};
+
+#endif  // CVN_TILES
+
+constexpr int64_t kConvSlab = 16;  // planes done in a row, which share their neighbours' copies
+
+// `sums` is [B, 2, out]: of the output and of its square.
+template <typename Product, typename In>
+void ConvRows(const Volume& s, const Source<In>& in, const float* w, ffi::ThreadPool& pool,
+              float* out, float* sums) {
+  using Element = typename Product::Element;
+  Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
+  const Convolution<Product> convolution(s, rounded.data());
+  const int64_t padded = convolution.padded(), row_size = convolution.row_size();
+  const int64_t slabs = (s.x + kConvSlab - 1) / kConvSlab, size = convolution.rows() * row_size;
+  Scratch<double> parts(s.b * slabs * 2 * s.cout);
+  ParallelFor(pool, s.b * slabs, [&](int64_t item) {
+    typename Product::Session session;
+    const int64_t sample = item / slabs, first = item % slabs * kConvSlab;
+    const int64_t last = std::min(first + kConvSlab, s.x), plane_size = s.y * s.z * s.cout;
+    Scratch<Element> buffer(4 * size);  // the last plane stays zero
+    Scratch<float> scratch(in.padded);
+    Sums moments(s.cout);
+    const auto plane_at = [&](int64_t x) {
+      return buffer.data() + (x < 0 || x >= s.x ? 3 : x % 3) * size;
+    };
+    const auto fill = [&](int64_t x) {
+      if (x < 0 || x >= s.x) return;
+      for (int64_t y = 0; y < s.y; ++y) {
+        in.Row((sample * s.x + x) * s.y + y, padded, scratch.data(),
+               plane_at(x) + (y + 1) * row_size + padded);
+      }
+    };
+    fill(first - 1);
+    fill(first);
+    for (int64_t x = first; x < last; ++x) {
+      fill(x + 1);
+      const Element* const planes[3] = {plane_at(x - 1), plane_at(x), plane_at(x + 1)};
+      float* to = out + (sample * s.x + x) * plane_size;
+      convolution.Plane(planes, to);
+      moments.AddRun(to, plane_size);
+    }
+    std::copy_n(moments.data(), 2 * s.cout, parts.data() + item * 2 * s.cout);
+  });
+  AddParts(parts.data(), s.b, slabs, 2 * s.cout, sums);
+}
+
+// What eight voxels get from all taps: `from` are the taps' rows, `weight` is [taps][wide].
+template <typename Width>
+void Spread8(int64_t taps, const float* const* from, int64_t at, const float* weight, Width wide,
+             float* to) {
+  constexpr int64_t kVecs = 2;
+  for (int64_t c = 0; c < wide; c += kVecs * kLanes) {
+    const bool pair = wide - c >= kVecs * kLanes;
+    Vec first[8] = {}, second[8] = {};
+    for (int64_t n = 0; n < taps; ++n) {
+      const float* left = from[n] + at;
+      const Vec a = Load(weight + n * wide + c);
+      const Vec b = pair ? Load(weight + n * wide + c + kLanes) : Vec{};
+#pragma GCC unroll 8
+      for (int i = 0; i < 8; ++i) {
+        first[i] += left[i] * a;
+        if (pair) second[i] += left[i] * b;
+      }
+    }
+    for (int i = 0; i < 8; ++i) {
+      Store(to + i * wide + c, first[i]);
+      if (pair) Store(to + i * wide + c + kLanes, second[i]);
+    }
+  }
+}
+
+// What makes the gradients of rows of the input, for one kind of products each. Planes of the output's
+// gradient are brought into its form row by row; the kernel's gradient is summed in its form, too.
+template <typename Product>
+class ConvolutionGradient;
+
+template <>
+class ConvolutionGradient<Vectors> {
+ public:
+  ConvolutionGradient(const Volume& s, const float* w)
+      : s_(s), wide_(RoundUp(s.cin, kLanes)), taps_(s.cout * kTaps), weight_(taps_ * wide_) {
+    for (int64_t t = 0; t < kTaps; ++t) {
+      for (int64_t i = 0; i < s.cin; ++i) {
+        for (int64_t o = 0; o < s.cout; ++o) {
+          weight_[(o * kTaps + t) * wide_ + i] = w[(t * s.cin + i) * s.cout + o];
+        }
+      }
+    }
+  }
+
+  // A plane is [out][y + 1][z + 1], with a margin of zeros.
+  int64_t plane_size() const { return s_.cout * layer(); }
+  void PutRow(const float* row, int64_t y, float* plane) const {
+    for (int64_t o = 0; o < s_.cout; ++o) {
+      float* to = plane + o * layer() + (y + 1) * row_size() + 1;
+      for (int64_t z = 0; z < s_.z; ++z) to[z] = row[z * s_.cout + o];
+    }
+  }
+
+  // [z][in] for a row, from the planes before, at and behind its own.
+  void Input(const float* const* planes, int64_t y, float* scratch, float* da) const {
+    const auto from = Rows(planes, y);
+    for (int64_t z = 0; z < s_.z; z += 8) {
+      const auto spread = [&](auto wide) {
+        Spread8(taps_, from.data(), z, weight_.data(), wide, scratch + z * wide);
+      };
+      wide_ == 2 * kLanes ? spread(std::integral_constant<int64_t, 32>()) : spread(wide_);
+    }
+    Unpad(scratch, wide_, s_.z, s_.cin, da);
+  }
+  int64_t scratch_size() const { return RoundUp(s_.z, 8) * wide_; }
+
+  // A row of the input as AddTerms takes it: [z][wide].
+  int64_t value_size() const { return s_.z * wide_; }
+  void PutValue(const float* value, float* to) const { Pad(value, s_.z, s_.cin, wide_, to); }
+
+  // The total is [out][27][wide].
+  int64_t total_size() const { return taps_ * wide_; }
+  int64_t TotalAt(int64_t tap, int64_t o) const { return (o * kTaps + tap) * wide_; }
+  void AddTerms(const float* const* planes, int64_t y, int count, const float* values,
+                float* total) const {
+    for (int row = 0; row < count; ++row, values += value_size()) {
+      const auto from = Rows(planes, y + row);
+      for (int64_t c = 0; c < wide_; c += kLanes) {
+        for (int64_t n = 0; n < taps_; n += 9) {
+          Vec part[9];
+          for (int i = 0; i < 9; ++i) part[i] = Load(total + (n + i) * wide_ + c);
+          for (int64_t z = 0; z < s_.z; ++z) {
+            const Vec value = Load(values + z * wide_ + c);
+#pragma GCC unroll 9
+            for (int i = 0; i < 9; ++i) part[i] += from[n + i][z] * value;
+          }
+          for (int i = 0; i < 9; ++i) Store(total + (n + i) * wide_ + c, part[i]);
+        }
+      }
+    }
+  }
+
+ private:
+  int64_t row_size() const { return RoundUp(s_.z, 8) + 2; }
+  int64_t layer() const { return (s_.y + 2) * row_size(); }
+
+  // Where each tap of each output finds what a row gave to.
+  std::vector<const float*> Rows(const float* const* planes, int64_t y) const {
+    std::vector<const float*> from(taps_);
+    for (int64_t n = 0; n < taps_; ++n) {
+      const int64_t o = n / kTaps, t = n % kTaps;
+      from[n] = planes[2 - t / 9] + o * layer() + (y + 2 - t / 3 % 3) * row_size() + 2 - t % 3;
+    }
+    return from;
+  }
+
+  const Volume& s_;
+  const int64_t wide_, taps_;
+  Scratch<float> weight_;  // [out][27][wide]
+};
+
+#if CVN_TILES
+
+template <>
+class ConvolutionGradient<Tiles> {
+ public:
+  ConvolutionGradient(const Volume& s, const float* w)
+      : s_(s),
+        strip_(std::max<int64_t>(kTileDepth / (3 * s.cout) - 2, 1)),
+        near_(9 * s.cout),
+        wide_(RoundUp(s.cin, kLanes)),
+        deep_(RoundUp((strip_ + 2) * 3 * s.cout, kTileDepth)),
+        long_z_(RoundUp(s.z, kTileDepth)),
+        weight_(3 * strip_ * deep_ * wide_) {
+    for (int64_t n = 0; n < 3 * strip_; ++n) {  // plane, and row of a strip
+      Scratch<float> dense(deep_ * s.cin);
+      for (int64_t k = 0; k < near_; ++k) {
+        const int64_t tap = ((2 - n / strip_) * 3 + 2 - k / s.cout / 3) * 3 + 2 - k % 3;
+        const int64_t o = k / 3 % s.cout;
+        for (int64_t i = 0; i < s.cin; ++i) {
+          dense[(n % strip_ * 3 * s.cout + k) * s.cin + i] = w[(tap * s.cin + i) * s.cout + o];
+        }
+      }
+      Tiles::Pack(dense.data(), s.cin, 1, deep_, s.cin, weight_.data() + n * deep_ * wide_);
+    }
+  }
+
+  // A plane has two forms, both with rows of zeros before and behind. First [y][out][3][z], where
+  // the three are moved by a voxel against each other. Second [strip][z][deep]: what the voxels of
+  // a strip's rows receive from, which is [y][out][3].
+  int64_t plane_size() const { return Second() + strips() * high() * deep_; }
+  void PutRow(const float* row, int64_t y, Bf16* plane) const {
+    for (int64_t o = 0; o < s_.cout; ++o) {
+      Bf16* first = plane + ((y + 1) * s_.cout + o) * 3 * long_z_;
+      for (int64_t i = 0; i < 3; ++i) {
+        for (int64_t z = std::max<int64_t>(1 - i, 0); z < std::min(s_.z, s_.z + 1 - i); ++z) {
+          first[i * long_z_ + z] = ToBf16(row[(z - 1 + i) * s_.cout + o]);
+        }
+      }
+      for (int64_t n = (y + 1) / strip_; n >= 0 && y + 1 < n * strip_ + strip_ + 2; --n) {
+        if (n >= strips()) continue;
+        Bf16* to = plane + Second() + n * high() * deep_ + ((y + 1 - n * strip_) * s_.cout + o) * 3;
+        for (int64_t z = 0; z < s_.z; ++z) {
+          for (int64_t i = 0; i < 3; ++i) to[z * deep_ + i] = first[i * long_z_ + z];
+        }
+      }
+    }
+  }
+
+  void Input(const Bf16* const* planes, int64_t y, float* scratch, float* da) const {
+    const Bf16 *a[3], *b[3];
+    for (int64_t x = 0; x < 3; ++x) {
+      a[x] = planes[x] + Second() + y / strip_ * high() * deep_;
+      b[x] = weight_.data() + (x * strip_ + y % strip_) * deep_ * wide_;
+    }
+    TileMultiply<false>(3, a, deep_, b, high(), deep_, wide_, scratch, wide_);
+    Unpad(scratch, wide_, s_.z, s_.cin, da);
+  }
+  int64_t scratch_size() const { return high() * wide_; }
+
+  // Tiles of pairs of voxels.
+  int64_t value_size() const { return long_z_ * wide_; }
+  void PutValue(const float* value, Bf16* to) const {
+    const int64_t column = long_z_ / kTileDepth * kTileSize;
+    for (int64_t z = 0; z < s_.z; z += 2) {
+      const float* first = value + z * s_.cin;
+      InterleavePair(first, first + s_.cin, wide_, column, to + z / 2 * kTileDepth);
+    }
+  }
+
+  // The total is [3 (x)][near, rounded up][wide].
+  int64_t total_size() const { return 3 * RoundUp(near_, kTileRows) * wide_; }
+  int64_t TotalAt(int64_t tap, int64_t o) const {
+    const int64_t x = 2 - tap / 9, y = 2 - tap / 3 % 3, z = 2 - tap % 3;
+    return (x * RoundUp(near_, kTileRows) + (y * s_.cout + o) * 3 + z) * wide_;
+  }
+  void AddTerms(const Bf16* const* planes, int64_t y, int count, const Bf16* values,
+                float* total) const {
+    for (int64_t x = 0; x < 3; ++x) {
+      const Bf16 *a[kMaxTaps], *b[kMaxTaps];
+      for (int i = 0; i < count; ++i) {
+        a[i] = planes[x] + (y + i) * 3 * s_.cout * long_z_;
+        b[i] = values + i * value_size();
+      }
+      const int64_t high = RoundUp(near_, kTileRows);
+      TileMultiply<true>(count, a, long_z_, b, high, long_z_, wide_, total + x * high * wide_,
+                         wide_);
+    }
+  }
+
+ private:
+  int64_t high() const { return RoundUp(s_.z, kTileRows); }
+  int64_t strips() const { return (s_.y + strip_ - 1) / strip_; }
+  int64_t Second() const {  // of the first, more rows are read than there are
+    return ((s_.y + 2) * s_.cout * 3 + kTileRows) * long_z_;
+  }
+
+  const Volume& s_;
+  const int64_t strip_, near_, wide_, deep_, long_z_;
+  Scratch<Bf16> weight_;
+};
+
+#endif  // CVN_TILES
+
+// The gradients of input, gain and offset (`sums`, see Source), and kernel; `dw` is
+// [B, out, 27, in].
+template <typename Product, typename In>
+void ConvGradients(const Volume& s, const Source<In>& in, const float* w,
+                   const Cotangent<float>& cotangent, ffi::ThreadPool& pool, In* dx, float* sums,
+                   float* dw) {
+  using Element = typename Product::Element;
+  Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
+  const ConvolutionGradient<Product> gradient(s, rounded.data());
+  ParallelFor(pool, s.b, [&](int64_t sample) {
+    typename Product::Session session;
+    const int64_t size = gradient.plane_size();
+    Scratch<Element> buffer(4 * size), values(kStrip * gradient.value_size());
+    Scratch<float> row(cotangent.padded), scratch(gradient.scratch_size()), da(in.padded);
+    Scratch<float> value(in.padded + 2 * kLanes), places(2 * in.padded);
+    Scratch<float> total(gradient.total_size());
+    Sums moments(s.cin);
+    const auto plane_at = [&](int64_t x) {
+      return buffer.data() + (x < 0 || x >= s.x ? 3 : x % 3) * size;  // the last stays zero
+    };
+    const auto fill = [&](int64_t x) {
+      if (x < 0 || x >= s.x) return;
+      for (int64_t y = 0; y < s.y; ++y) {
+        cotangent.Row((sample * s.x + x) * s.y + y, row.data());
+        RoundRow<In, float>(row.data(), cotangent.size);
+        gradient.PutRow(row.data(), y, plane_at(x));
+      }
+    };
+    fill(0);
+    for (int64_t x = 0; x < s.x; ++x) {
+      fill(x + 1);
+      const Element* const planes[3] = {plane_at(x - 1), plane_at(x), plane_at(x + 1)};
+      for (int64_t y = 0; y < s.y; y += kStrip) {
+        const int count = static_cast<int>(std::min<int64_t>(kStrip, s.y - y));
+        for (int i = 0; i < count; ++i) {
+          gradient.Input(planes, y + i, scratch.data(), da.data());
+          in.Gradient((sample * s.x + x) * s.y + y + i, da.data(), places.data(), dx,
+                      value.data());
+          RoundRow<In, Element>(value.data(), in.size);
+          gradient.PutValue(value.data(), values.data() + i * gradient.value_size());
+        }
+        gradient.AddTerms(planes, y, count, values.data(), total.data());
+      }
+      moments.AddTwo(places.data(), in.size, in.padded);
+    }
+    moments.CopyTo(sums + sample * 2 * s.cin);
+    for (int64_t o = 0; o < s.cout; ++o) {
+      for (int64_t t = 0; t < kTaps; ++t) {
+        std::copy_n(total.data() + gradient.TotalAt(t, o), s.cin,
+                    dw + ((sample * s.cout + o) * kTaps + t) * s.cin);
+      }
+    }
+  });
+}
+
+}  // namespace cvn
+
+#endif  // CVN_CONV_H_
