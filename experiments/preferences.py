@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import matplotlib.figure
 import numpy as np
+from matplotlib.patches import Patch
 from scipy import stats
 
 from cvn.files import atomic_write
@@ -66,15 +67,15 @@ def to_json(table: Table) -> dict[str, Any]:
   return {o: {c: s._asdict() for c, s in row.items()} for o, row in table.items()}
 
 
-def format_table(table: Table, titles: Mapping[str, str], ours: str) -> str:
+def format_table(table: Table, titles: Mapping[str, str], heading: str) -> str:
   """The table as text.
 
   Args:
     table: of `tabulate`.
     titles: of the methods.
-    ours: the method that the shares are of.
+    heading: what the shares are.
   """
-  lines = [f'{titles[ours]} preferred', f'{"against":<28}{"":<10}{"share":>9}{"95 % interval":>18}']
+  lines = [heading, f'{"against":<28}{"":<10}{"share":>9}{"95 % interval":>18}']
   for other, row in table.items():
     for name, s in row.items():
       interval = f'{100 * s.low:.0f} to {100 * s.high:.0f} %'
@@ -94,7 +95,7 @@ def draw(
   """The paper's bar chart (Figure "user_study"): shares of ours in blue, the rest in the other's.
 
   Args:
-    panels: tables of the same others, by what stands above each.
+    panels: tables of the same others, by what stands above each; one below the other.
     titles: of the methods.
     ours: the method that the shares are of.
     note: a line below.
@@ -104,33 +105,34 @@ def draw(
   others = list(tables[0])
   names = list(dict.fromkeys(c for t in tables for row in t.values() for c in row if c != ALL))
   names.append(ALL)
+  colors = {other: OTHER_COLORS[n % len(OTHER_COLORS)] for n, other in enumerate(others)}
   width = 0.8 / len(others)
   figure = matplotlib.figure.Figure(
-    figsize=(1.6 + 1.15 * len(names) * len(panels), 4.4), layout='constrained'
+    figsize=(2.2 + 1.1 * len(names), 1.2 + 3.3 * len(panels)), layout='constrained'
   )
-  all_axes = np.ravel(figure.subplots(1, len(panels), sharey=True))
-  for axes, (title, table) in zip(all_axes, panels.items(), strict=True):
+  rows_of_axes = np.ravel(figure.subplots(len(panels), 1))
+  for axes, (title, table) in zip(rows_of_axes, panels.items(), strict=True):
     for n, other in enumerate(others):
       row = table[other]
       at = np.array([names.index(c) for c in row]) + (n - (len(others) - 1) / 2) * width
       value, low, high = (
         100 * np.array([getattr(s, k) for s in row.values()]) for k in ('share', 'low', 'high')
       )
-      color = OTHER_COLORS[n % len(OTHER_COLORS)]
-      bar = {'width': 0.92 * width, 'zorder': 2}
-      axes.bar(at, value, color=OURS_COLOR, label=None if n else titles[ours], **bar)
-      axes.bar(at, 100 - value, bottom=value, color=color, label=titles[other], **bar)
+      bar = {'width': 0.9 * width, 'edgecolor': colors[other], 'linewidth': 1.5}
+      axes.bar(at, value, color=OURS_COLOR, **bar)
+      axes.bar(at, 100 - value, bottom=value, color=colors[other], **bar)
       whiskers = np.maximum(0, [value - low, high - value])  # rounding puts 0 % a hair off
-      axes.errorbar(at, value, whiskers, fmt='none', ecolor='#222', capsize=3, lw=1.2, zorder=3)
+      axes.errorbar(at, value, whiskers, fmt='none', ecolor='#222', capsize=3, linewidth=1.2)
       for x, v in zip(at, value, strict=True):
-        axes.text(x, 2, f'{v:.0f}', ha='center', va='bottom', color='white', fontsize=9, zorder=4)
-    axes.axhline(50, color='#222', linestyle=':', linewidth=1, zorder=2.5)
+        axes.text(x, 102, f'{v:.0f}', ha='center', va='bottom', fontsize=9)
+    axes.axhline(50, color='#222', linestyle=':', linewidth=1)
     axes.set_xticks(range(len(names)), names)
-    axes.set(ylim=(0, 100), title=title)
+    axes.set(ylim=(0, 109), yticks=range(0, 101, 20), title=title, ylabel=axis)
     axes.spines[['top', 'right']].set_visible(False)
-  all_axes[0].set_ylabel(axis)
-  handles, labels = all_axes[0].get_legend_handles_labels()
-  figure.legend(handles, labels, loc='outside upper center', ncols=len(labels), frameon=False)
+  handles = [
+    Patch(color=color, label=titles[m]) for m, color in {ours: OURS_COLOR, **colors}.items()
+  ]
+  figure.legend(handles=handles, loc='outside upper center', ncols=len(handles), frameon=False)
   figure.supxlabel(note, fontsize=9, color='#555')
   return figure
 

@@ -59,7 +59,8 @@ def run(f: flags.FlagValues) -> int:
   left = preferences.share(sum(a['choice'] == a['left'] for a in answers), len(answers))
   seconds = float(np.median([a['milliseconds'] for a in answers])) / 1000
   count = f'{len(by_subject)} subject{"s" * (len(by_subject) > 1)}, {len(answers)} choices'
-  print(preferences.format_table(table, key['titles'], key['ours']))
+  heading = f'{key["titles"][key["ours"]]} preferred'
+  print(preferences.format_table(table, key['titles'], heading))
   print(
     f'{count}, {seconds:.1f} s each in the median; the left one was taken in'
     f' {100 * left.share:.0f} % (95 % interval {100 * left.low:.0f} to {100 * left.high:.0f} %)'

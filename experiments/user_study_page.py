@@ -162,7 +162,7 @@ _STYLE = """
 [hidden] { display: none !important; }
 body { font: 17px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0;
   min-height: 100vh; display: flex; flex-direction: column; }
-main { flex: 1; width: 100%; max-width: 1240px; margin: 0 auto; padding: 1em 1.2em; }
+main { flex: 1; width: 100%; max-width: 1400px; margin: 0 auto; padding: 1em 1.2em; }
 #start, #end { max-width: 700px; padding-top: 4vh; }
 h1 { line-height: 1.2; }
 h2 { font-size: 1.3em; font-weight: 600; text-align: center; margin: .5em 0 .6em; }
@@ -193,8 +193,8 @@ figure { margin: 0; text-align: center; }
 #board .earlier::before { content: 'your choice before'; position: absolute; top: .3em; left: .8em;
   font-size: .82em; color: #2f63a0; }
 #board .chosen { border-color: #2f63a0; }
-.turntable { display: block; width: 100%; height: min(430px, calc(100vh - 400px));
-  min-height: 180px; object-fit: contain; cursor: grab; touch-action: pan-y; }
+.turntable { display: block; width: 100%; height: clamp(160px, 100vh - 415px, 560px);
+  object-fit: contain; cursor: grab; touch-action: pan-y; }
 .sides { display: flex; gap: .4em; margin: .4em 0 .7em; }
 .sides canvas { flex: 1; min-width: 0; height: 74px; object-fit: contain; cursor: pointer;
   border-bottom: 3px solid transparent; }
@@ -204,11 +204,11 @@ figure { margin: 0; text-align: center; }
 .small, footer { font-size: .82em; color: #555; }
 .keys { text-align: center; }
 .keys kbd:not(kbd + kbd) { margin-left: 1.2em; }
-footer { max-width: 1240px; width: 100%; margin: 0 auto; padding: .5em 1.5em; display: flex;
+footer { max-width: 1400px; width: 100%; margin: 0 auto; padding: .5em 1.5em; display: flex;
   gap: 1.5em; align-items: center; }
 footer button { margin-left: auto; padding: .1em .7em; }
 @media (max-width: 760px) {
-  #board { grid-template-columns: 1fr 1fr; gap: .6em; }
+  #board { grid-template-columns: minmax(0, 1fr) minmax(0, 1fr); gap: .6em; }
   #given { grid-area: 1 / 1 / 2 / 3; width: 150px; margin: 0 auto; }
   .turntable { height: 60vw; }
   .sides canvas { height: 40px; }

@@ -60,7 +60,7 @@ function sheet(name) {
   }
   return sheets.get(name);
 }
-let shown = [], position = 0, turning = true, last = 0, drawn = -1;
+let shown = [], position = 0, turning = false, last = 0, drawn = -1;
 function drawFrame(canvas, {name, image}, frame) {
   const {width, height} = study.sheets[name];
   canvas.width = width;
@@ -68,7 +68,9 @@ function drawFrame(canvas, {name, image}, frame) {
   const x = width * (frame % study.columns), y = height * Math.floor(frame / study.columns);
   canvas.getContext('2d').drawImage(image, x, y, width, height, 0, 0, width, height);
 }
-function turn(frames) { position = (position + frames + study.frames) % study.frames; }
+function turn(frames) {
+  position = ((position + frames) % study.frames + study.frames) % study.frames;
+}
 function animate(time) {
   if (turning) turn(study.frames * Math.min(time - last, 100) / 1000 / SECONDS_A_TURN);
   last = time;
@@ -102,12 +104,11 @@ async function show() {
     return;
   }
   const trial = trials[state.at], soon = trials[state.at + 1];
-  const wanted = [trial, ...(soon ? [soon] : [])].flatMap((t) => [t.left, t.right]);
+  const wanted = [trial, soon ?? trial].flatMap((t) => [t.left, t.right]);
   for (const name of sheets.keys()) if (!wanted.includes(name)) sheets.delete(name);
-  const loaded = Promise.all(wanted.map(sheet));
+  wanted.forEach(sheet);
   const names = [trial.left, trial.right];
   shown = (await Promise.all(names.map(sheet))).map((image, i) => ({name: names[i], image}));
-  loaded.catch(() => {});
   open('pair');
   element('picture').src = 'data:image/png;base64,' + study.pictures[trial.picture];
   const earlier = state.answers[trial.pair];
@@ -124,6 +125,7 @@ async function show() {
   element('question').focus();
   position = 0;
   drawn = -1;
+  turning = !matchMedia('(prefers-reduced-motion: reduce)').matches;
   since = performance.now();
   busy = false;
 }
@@ -204,14 +206,13 @@ document.addEventListener('keydown', (event) => {
     ArrowUp: () => { turning = false; turn(1); },
     ArrowDown: () => { turning = false; turn(-1); },
     Backspace: () => event.repeat || back(),
-    ...(onButton ? {} : {' ': () => { turning = !turning; }}),
+    ...(onButton ? {} : {' ': () => { if (!event.repeat) turning = !turning; }}),
   };
   if (!(event.key in actions)) return;
   event.preventDefault();
   actions[event.key]();
 });
 
-turning = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 requestAnimationFrame(animate);
 if (state) {
   trials = plan(state.seed);

@@ -75,8 +75,8 @@ def run(f: flags.FlagValues) -> int:
   }
   print(f'{LABEL}: closer to the truth, in drawings from {len(manifest.azimuths)} azimuths')
   for measure, title in MEASURES.items():
-    print(f'\nby {title}')
-    print(preferences.format_table(tables[measure], titles, f.ours))
+    heading = f'\n{titles[f.ours]} closer by {title}'
+    print(preferences.format_table(tables[measure], titles, heading))
   means = {m: {k: float(np.mean([s[m][k] for s in scores])) for k in MEASURES} for m in titles}
   print()
   for method, mean in means.items():
@@ -91,7 +91,10 @@ def run(f: flags.FlagValues) -> int:
     'means': means,
     'shapes': [{**shape._asdict(), 'scores': s} for shape, s in zip(shapes, scores, strict=True)],
   }
-  panels = {f'closer to the truth by {title}': tables[k] for k, title in MEASURES.items()}
+  panels = {
+    f'Automatic stand-in: closer to the truth by {title}': tables[k]
+    for k, title in MEASURES.items()
+  }
   note = f'{LABEL.capitalize()}. {len(shapes)} shapes; whiskers: 95 % (Wilson)'
   chart = preferences.draw(panels, titles, f.ours, note=note, axis='closer, % of shapes')
   output = f.output or os.path.join(f.workdir, 'user_study')

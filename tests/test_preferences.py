@@ -34,7 +34,7 @@ def test_shares_are_counted_by_other_and_category():
     'c': {'car': (0, 2), 'all': (0, 2)},
   }
   assert preferences.to_json(table)['b']['car']['share'] == 0.75
-  text = preferences.format_table(table, TITLES, 'a')
+  text = preferences.format_table(table, TITLES, 'A preferred')
   assert text.splitlines()[0] == 'A preferred'
   assert len(text.splitlines()) == 2 + 5
   assert '75.0 %' in text and '3 of 4' in text

@@ -68,7 +68,7 @@ def test_report_says_what_it_is_and_agrees_with_its_scores(tmp_path, monkeypatch
     mean = np.mean([s['scores']['flow'][measure] for s in report['shapes']])
     assert report['means']['flow'][measure] == pytest.approx(mean)
   out = capsys.readouterr().out
-  assert LABEL in out and 'by SSIM' in out and 'by PSNR' in out
+  assert LABEL in out and 'closer by SSIM' in out and 'closer by PSNR' in out
 
 
 def test_equal_results_are_no_wins(tmp_path, monkeypatch):
