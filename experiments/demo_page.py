@@ -1,7 +1,6 @@
 """The demonstration's report: one HTML file that needs nothing beside it, and no network.
 
-Pictures are data URIs. The models' GLB files are embedded whole, and a small WebGL viewer, written
-out below, reads them: what the page shows is what the files hold.
+Pictures are data URIs, and the models' GLB files are embedded whole for experiments.viewer.
 """
 
 import base64
@@ -13,6 +12,8 @@ from typing import NamedTuple
 import matplotlib.figure
 import numpy as np
 from PIL import Image
+
+from experiments import viewer
 
 
 class Example(NamedTuple):
@@ -74,7 +75,7 @@ def render(page: Page) -> str:
     f'<h2>Commands, {_minutes(total)} in all</h2>',
     *(f'<pre>{html.escape(c)}   # {_minutes(s)}</pre>' for c, s in page.commands),
   ]
-  return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', _VIEWER)
+  return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', viewer.SCRIPT)
 
 
 def to_png(image: np.ndarray) -> bytes:
@@ -92,11 +93,10 @@ def _example(index: int, example: Example) -> str:
   return f"""<section>
 <h3>{html.escape(example.name)} <small>{links}</small></h3>
 <div class="example">
-<canvas class="viewer" data-glb="glb{index}" width="800" height="800"></canvas>
+{viewer.embed(f'glb{index}', example.glb, size=800)}
 <div><img class="wide" alt="reconstruction" src="{_data_uri(example.panel)}">
 <img class="wide" alt="truth" src="{_data_uri(example.truth)}"></div>
 </div>
-<script type="text/plain" id="glb{index}">{base64.b64encode(example.glb).decode()}</script>
 </section>"""
 
 
@@ -179,120 +179,4 @@ pre { background: #f5f5f5; padding: 1em; white-space: pre-wrap; overflow-wrap: a
 <script>{viewer}</script>
 </body>
 </html>
-"""
-
-# A viewer of the GLB files that cvn.export writes: one primitive, positions, (u, v) and a palette.
-_VIEWER = r"""
-'use strict';
-const VERTEX = `#version 300 es
-in vec3 position; in vec2 uv; uniform vec4 turn; uniform float distance;
-out vec3 p; out vec2 t;
-void main() {
-  float ca = turn.x, sa = turn.y, ce = turn.z, se = turn.w;
-  vec3 q = vec3(ca * position.x - sa * position.z, position.y, sa * position.x + ca * position.z);
-  p = vec3(q.x, ce * q.y - se * q.z, se * q.y + ce * q.z - distance);
-  t = uv;
-  gl_Position = vec4(4.0 * p.xy, -1.105 * p.z - 1.053, -p.z);  // depths from 0.5 to 10
-}`;
-const FRAGMENT = `#version 300 es
-precision highp float;
-in vec3 p; in vec2 t; uniform sampler2D palette; out vec4 color;
-void main() {
-  vec3 n = normalize(cross(dFdx(p), dFdy(p)));
-  float light = 0.72 + 0.28 * max(0.0, dot(n, normalize(vec3(-0.45, 0.75, 0.5))));
-  color = vec4(light * texture(palette, t).rgb, 1.0);
-}`;
-
-function parse(buffer) {
-  const size = new DataView(buffer).getUint32(12, true);
-  const tree = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 20, size)));
-  const start = 28 + size;
-  const view = (i) => {
-    const v = tree.bufferViews[i], from = start + (v.byteOffset || 0);
-    return buffer.slice(from, from + v.byteLength);
-  };
-  const primitive = tree.meshes[0].primitives[0];
-  const accessor = (i) => view(tree.accessors[i].bufferView);
-  const texture = tree.materials[primitive.material].pbrMetallicRoughness.baseColorTexture.index;
-  const image = tree.images[tree.textures[texture].source];
-  return {
-    index: new Uint32Array(accessor(primitive.indices)),
-    position: new Float32Array(accessor(primitive.attributes.POSITION)),
-    uv: new Float32Array(accessor(primitive.attributes.TEXCOORD_0)),
-    image: new Blob([view(image.bufferView)], {type: image.mimeType}),
-  };
-}
-
-async function show(canvas) {
-  const text = atob(document.getElementById(canvas.dataset.glb).textContent);
-  const model = parse(Uint8Array.from(text, (c) => c.charCodeAt(0)).buffer);
-  const gl = canvas.getContext('webgl2', {antialias: true});
-  if (!gl) { canvas.title = 'This browser has no WebGL 2'; return; }
-  const program = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw gl.getProgramInfoLog(program);
-  gl.useProgram(program);
-  for (const [name, width] of [['position', 3], ['uv', 2]]) {
-    const at = gl.getAttribLocation(program, name);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, model[name], gl.STATIC_DRAW);
-    gl.enableVertexAttribArray(at);
-    gl.vertexAttribPointer(at, width, gl.FLOAT, false, 0, 0);
-  }
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, model.index, gl.STATIC_DRAW);
-  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-  const picture = await createImageBitmap(model.image, {colorSpaceConversion: 'none'});
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, picture);
-  gl.enable(gl.DEPTH_TEST);
-  gl.enable(gl.CULL_FACE);
-  gl.clearColor(0.96, 0.96, 0.96, 1);
-
-  // Degrees, as in the panels, and units of the cube's side.
-  let azimuth = 30, elevation = 20, distance = 3, turning = true, seen = false, last = 0, asked = 0;
-  const redraw = () => { asked = asked || requestAnimationFrame(draw); };
-  function draw(time) {
-    asked = 0;
-    if (!seen) return;
-    if (turning) azimuth -= 0.02 * Math.min(time - last, 50);
-    last = time;
-    const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
-    gl.uniform4f(gl.getUniformLocation(program, 'turn'),
-      Math.cos(a), Math.sin(a), Math.cos(e), Math.sin(e));
-    gl.uniform1f(gl.getUniformLocation(program, 'distance'), distance);
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.drawElements(gl.TRIANGLES, model.index.length, gl.UNSIGNED_INT, 0);
-    if (turning) redraw();
-  }
-  canvas.addEventListener('pointerdown', (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    turning = false;
-  });
-  canvas.addEventListener('pointermove', (event) => {
-    if (!event.buttons) return;
-    azimuth -= 0.6 * event.movementX;
-    elevation = Math.max(-90, Math.min(90, elevation + 0.6 * event.movementY));
-    redraw();
-  });
-  canvas.addEventListener('wheel', (event) => {
-    event.preventDefault();
-    distance = Math.max(1.5, Math.min(8, distance * Math.exp(0.001 * event.deltaY)));
-    redraw();
-  }, {passive: false});
-  new IntersectionObserver((entries) => {
-    seen = entries[entries.length - 1].isIntersecting;
-    if (seen) redraw();
-  }).observe(canvas);
-}
-
-for (const canvas of document.querySelectorAll('canvas.viewer')) show(canvas);
 """

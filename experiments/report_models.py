@@ -1,0 +1,163 @@
+"""Models of the report that can be turned: reconstructions of random test views, and the truth."""
+
+import functools
+import gzip
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from cvn import export, figures, methods
+from cvn.dataset import Dataset, read_record, to_url
+from cvn.grid import ColoredVoxels
+from experiments import protocol, scoring
+from experiments.demo_page import to_png
+from experiments.report_blocks import Example, Examples, Picture, Turnable
+from experiments.report_facts import Data
+from experiments.report_results import Score, Workdir
+
+SHOWN = {'blended_0.2': 'paper’s method', 'best': 'recipe best'}  # the methods, and short names
+BESIDE = 30  # degrees from the input's camera: where models are first seen from
+STILL = 192  # pixels of a still picture
+
+
+class Chosen(NamedTuple):
+  """A test model, a view, and the networks that reconstruct it."""
+
+  row: int
+  view: int
+  scores: dict[str, Score]  # by method
+
+
+def make_examples(
+  workdir: Workdir, data: Data, *, per_category: int, seed: int, name: str
+) -> Examples | None:
+  """Random test models of each category; None where no networks are there for any.
+
+  Args:
+    workdir: with the evaluations of the networks.
+    data: the data set that they were judged on.
+    per_category: how many models.
+    seed: of the choice of models and views.
+    name: of the pictures.
+  """
+  chosen = choose(workdir, data, per_category=per_category, seed=seed)
+  progress = tqdm(chosen, desc=f'models of {workdir.path}', unit='model', disable=None)
+  load = functools.cache(functools.partial(_load, dataset=data.dataset))
+  made = [_make(data.dataset, c, load) for c in progress]
+  if not made:
+    return None
+  titles = [m.title for m in max((example.models for example, _ in made), key=len)]
+  still = figures.grid_of_images(
+    [tiles for _, tiles in made],
+    column_titles=['input', *titles],
+    row_titles=[e.title.replace(', ', '\n', 1) for e, _ in made],
+  )
+  caption = f'Test models and views drawn at random, not chosen: seed {seed}.'
+  return Examples([e for e, _ in made], Picture(name, to_png(still), caption))
+
+
+def choose(workdir: Workdir, data: Data, *, per_category: int, seed: int) -> list[Chosen]:
+  """Test models and views at random, of each category that some networks were judged on.
+
+  Arguments as of `make_examples`.
+  """
+  manifest = data.dataset.manifest
+  rows = {m.id: n for n, m in enumerate(manifest.models)}
+  rng = np.random.default_rng(seed)
+  by_category: dict[str, dict[str, Score]] = {}
+  for score in workdir.scores:
+    here = to_url(score.data) == data.dataset.root
+    if score.method in SHOWN and here and _networks(workdir, score):
+      for category in dict.fromkeys(score.models.values()):
+        by_category.setdefault(category, {}).setdefault(score.method, score)
+  chosen = []
+  for category, scores in sorted(by_category.items()):
+    names = sorted(
+      name
+      for name in next(iter(scores.values())).models
+      if all(s.models.get(name) == category for s in scores.values()) and name in rows
+    )
+    for n in rng.permutation(len(names))[:per_category]:
+      view = int(rng.integers(len(manifest.azimuths)))
+      own = {m: _located(workdir, scores[m]) for m in SHOWN if m in scores}
+      chosen.append(Chosen(rows[names[n]], view, own))
+  return chosen
+
+
+def reconstruct(
+  view: np.ndarray, method: str, score: Score, networks: Mapping[str, scoring.Network], size: int
+) -> ColoredVoxels:
+  """What a method makes of a view [H, W, 4] u8."""
+  flip = protocol.METHODS[method].flip
+  batch = view[None].astype(np.float32) / 255
+  shape, color = networks['shape'], networks['color']
+  options = {'flip': flip, 'grid_size': size}
+  scores = methods.score(shape.kind, shape.variables, batch, **options)
+  options |= {'alpha': score.alpha, 'threshold': score.threshold}
+  colors = methods.colors(color.kind, color.variables, batch, **options)
+  return ColoredVoxels(scores[0] >= score.threshold, colors[0])
+
+
+def to_glb(voxels: ColoredVoxels) -> bytes:
+  """A GLB file, compressed by gzip; the same voxels give the same bytes."""
+  with tempfile.TemporaryDirectory() as folder:
+    path = os.path.join(folder, 'model.glb')
+    export.write_glb(path, voxels)
+    with open(path, 'rb') as f:
+      return gzip.compress(f.read(), mtime=0)
+
+
+def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndarray]]:
+  """An example, and still pictures of its view and models."""
+  manifest = dataset.manifest
+  model, azimuth = manifest.models[chosen.row], manifest.azimuths[chosen.view]
+  record = read_record(dataset, chosen.row)
+  view = record.views[chosen.view]
+  shown: list[tuple[str, ColoredVoxels]] = []
+  for method, score in chosen.scores.items():
+    networks = {
+      'shape': load(score.shape, methods.SHAPE_KINDS),
+      'color': load(score.color, methods.COLOR_KINDS),
+    }
+    found = reconstruct(view, method, score, networks, manifest.grid_size)
+    shown.append((SHOWN[method], found))
+  shown.append(('truth', scoring.to_voxels(record, manifest.grid_size)))
+  start = azimuth + BESIDE
+  models, tiles = [], [figures.enlarge(view, STILL)]
+  for title, voxels in shown:
+    tiles.append(figures.draw_voxels(voxels, start, size=STILL))
+    if voxels.occupancy.any():
+      models.append(Turnable(title, to_glb(voxels)))
+    else:
+      models.append(Turnable(f'{title}: no voxel is occupied', b''))
+  credit = ', '.join(x for x in (model.id, model.creator, model.licence) if x)
+  title = f'{model.category}, seen from {azimuth:g}°'
+  example = Example(title, to_png(figures.over(view)), start, models, f'{credit}.')
+  return example, tiles
+
+
+def _networks(workdir: Workdir, score: Score) -> bool:
+  """Whether the networks of an evaluation are still there."""
+  located = _located(workdir, score)
+  return all(
+    folder and os.path.isdir(os.path.join(folder, 'checkpoints'))
+    for folder in (located.shape, located.color)
+  )
+
+
+def _located(workdir: Workdir, score: Score) -> Score:
+  """With the networks' folders where they lie now: the workdir may have been moved."""
+
+  def find(folder):
+    here = os.path.join(workdir.path, 'runs', os.path.basename(folder.rstrip('/')))
+    return here if os.path.isdir(here) else folder
+
+  return score._replace(shape=find(score.shape), color=find(score.color))
+
+
+def _load(folder: str, kinds: Sequence[str], *, dataset: Dataset) -> scoring.Network:
+  return scoring.load(folder, kinds, dataset)

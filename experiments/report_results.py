@@ -1,0 +1,114 @@
+"""What the report knows of each --workdir: the results of other programs, read and checked."""
+
+from typing import Any, NamedTuple
+
+from cvn.intervals import Estimate
+
+
+class Number(NamedTuple):
+  """A method in a category; NaN where there is no number."""
+
+  mean: float
+  error: float  # standard error over models
+  models: int
+  published: float
+
+
+class Line(NamedTuple):
+  """A method in a table."""
+
+  title: str
+  categories: dict[str, Number]
+  seeds: list[float]  # the mean of the categories' means, one a seed
+  published: float  # the paper's mean of the categories
+
+
+class Comparison(NamedTuple):
+  """How much a method is above another, model by model."""
+
+  better: str
+  other: str
+  difference: float
+  error: float  # standard error over models
+  models: int
+  above: str  # share of the models, such as '71%'
+  seeds: list[float]  # the difference by seed; empty for one seed
+
+
+class Lines(NamedTuple):
+  """A table of methods."""
+
+  rows: list[Line]
+  comparisons: list[Comparison]
+
+
+class Tabled(NamedTuple):
+  """What one program of tables found."""
+
+  settings: dict[str, Any]  # see `report_gather.SETTINGS`
+  parts: dict[str, Lines]  # see `report_gather.PARTS`
+
+
+class People(NamedTuple):
+  """What experiments.people found."""
+
+  settings: dict[str, Any]
+  category: str
+  networks: list[str]
+  models: int
+  means: dict[str, Estimate]  # by metric; 'baseline_iou': of the mean training shape
+  sides: Estimate
+  front_and_back: Estimate
+  difference: Estimate
+  by_complexity: list[tuple[str, int, int, Estimate]]  # complexity, views, models, IoU
+  correlation: Estimate
+
+
+class Training(NamedTuple):
+  """A network's training."""
+
+  name: str  # of its folder
+  training: str  # a key of `protocol.TRAININGS`
+  scope: str  # the category, or `protocol.ALL`
+  seed: str
+  config: dict[str, Any]
+  steps: int
+  epochs: float
+  samples: int  # views seen
+  loss: list[tuple[float, float]]  # (samples, mean over the steps since the one before)
+  validation: list[tuple[float, dict[str, float]]]  # (samples, metrics)
+
+
+class Score(NamedTuple):
+  """A method's evaluation on test models."""
+
+  method: str  # a key of `protocol.METHODS`
+  data: str
+  shape: str  # folder of the network; '' for none
+  color: str
+  threshold: float
+  alpha: float
+  models: dict[str, str]  # category of each model, by id
+
+
+class Figure(NamedTuple):
+  """A picture of WORKDIR/figures or WORKDIR/user_study."""
+
+  name: str
+  png: bytes
+  facts: dict[str, Any]  # of the JSON file beside it; empty without one
+
+
+class Workdir(NamedTuple):
+  """All that was found in a folder."""
+
+  path: str
+  key: str  # its name, no other's; for names of files
+  label: str  # what tells it from others, such as 'one network for all categories'
+  tables: dict[str, Tabled]  # by name: iou, psnr, ablation, structure
+  people: People | None
+  trainings: list[Training]
+  scores: list[Score]
+  figures: dict[str, Figure]  # by name
+  study: dict[str, Figure]  # preferences, standin
+  seconds: dict[str, float]  # by command, in their order
