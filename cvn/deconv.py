@@ -156,7 +156,7 @@ def _gradients(name, activation, inputs, y, cotangents):
       volumes=(0, 4, 5), activation=activation.number,
     )  # fmt: skip
     doffset, dgain = dcoefficients.sum(0)
-    dkernel = _sum_samples(dkernel)
+    dkernel = native.sum_samples(dkernel)
     return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
   def of(product):
@@ -199,8 +199,3 @@ def by_platform(kernels, products, library, *arrays):
     return (kernels if native.available() else products)(*arrays)
 
   return lax.platform_dependent(*arrays, cpu=on_cpu, default=library)
-
-
-def _sum_samples(x):
-  """x.sum(0), as a product: the compiler's own sum over the first axis is slow."""
-  return (jnp.ones((1, len(x))) @ x.reshape(len(x), -1)).reshape(x.shape[1:])

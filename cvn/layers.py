@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
-from jax import lax
 
-from cvn import deconv
+from cvn import conv2d, deconv
 from cvn.normalization import (
   ELU,
   IDENTITY,
@@ -119,20 +118,27 @@ class Dense(nn.Module):
 
 
 class Conv2D(nn.Module):
-  """[B, H, W, in] -> [B, H / stride, W / stride, features]."""
+  """[B, H, W, in] -> [B, H / 2, W / 2, features]."""
 
   features: int
   size: int
-  stride: int = 1
-  padding: str = 'SAME'
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = self.param('kernel', _glorot, (self.size, self.size, x.shape[-1], self.features))
-    x = lax.conv_general_dilated(
-      x, kernel, (self.stride,) * 2, self.padding, dimension_numbers=('NHWC', 'HWIO', 'NHWC')
-    )
-    return _finish(self, x, ELU, train)
+    return _finish(self, conv2d.conv2d(x, kernel, self.mixed), ELU, train)
+
+
+class Collect(nn.Module):
+  """[B, H, W, in] -> [B, features]: a convolution whose filters cover the whole map."""
+
+  features: int
+
+  @nn.compact
+  def __call__(self, x: jax.Array, train: bool) -> jax.Array:
+    kernel = self.param('kernel', _glorot, (*x.shape[1:], self.features))
+    return _finish(self, x.reshape(len(x), -1) @ kernel.reshape(-1, self.features), ELU, train)
 
 
 class Deconv3D(nn.Module):

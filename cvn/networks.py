@@ -14,7 +14,7 @@ from flax import linen as nn
 
 from cvn.camera import IMAGE_SIZE
 from cvn.grid import GRID_SIZE
-from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
+from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
 from cvn.normalization import IDENTITY, SIGMOID, Activation
 
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
@@ -33,14 +33,14 @@ class Encoder(nn.Module):
   """[B, H, W, 3] -> latent features [B, features], through a code of 512 numbers."""
 
   features: int
+  mixed: bool = False
 
   @nn.compact
   def __call__(self, image: jax.Array, train: bool) -> jax.Array:
     x = image
     for i, (size, channels) in enumerate(ENCODER):
-      x = Conv2D(channels, size, stride=2, name=f'conv{i}')(x, train)
-    x = Conv2D(512, x.shape[1], padding='VALID', name=f'conv{len(ENCODER)}')(x, train)
-    x = x.reshape(x.shape[0], -1)
+      x = Conv2D(channels, size, self.mixed, name=f'conv{i}')(x, train)
+    x = Collect(512, name=f'conv{len(ENCODER)}')(x, train)
     x = Dense(512, name='latent0')(x, train)
     return Dense(self.features, name='latent1')(x, train)
 
@@ -69,7 +69,7 @@ class Trunk(nn.Module):
         f'images must be [B, {self.image_size}, {self.image_size}, 3]: {image.shape}'
       )
     s = self.grid_size // 2 ** (len(DECODER) + 1)
-    x = Encoder(s**3 * 128, name='encoder')(image, train)
+    x = Encoder(s**3 * 128, self.mixed, name='encoder')(image, train)
     x = x.astype(jnp.bfloat16 if self.mixed else jnp.float32)
     return Decoder(name='decoder')(volume_of(x.reshape(-1, s, s, s, 128)), train)
 

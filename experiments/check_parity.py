@@ -105,7 +105,7 @@ def check_ops(golden: dict[str, np.ndarray]) -> Iterator[Line]:
     'params': {'kernel': kernel, 'bias': zero, 'norm': {'scale': one, 'bias': zero}},
     'batch_stats': {'norm': {'mean': zero, 'var': one - normalization.EPSILON}},
   }
-  layer = layers.Conv2D(kernel.shape[-1], kernel.shape[0], stride=2)
+  layer = layers.Conv2D(kernel.shape[-1], kernel.shape[0])
   value = layer.apply(variables, golden['conv2d_x'], train=False)
   target = normalization.ELU.value(golden['conv2d_y'])
   yield Line('conv2d_y', largest_error(value, target), 1e-5)

@@ -17,7 +17,7 @@ import numpy as np
 
 from cvn import train
 from cvn.camera import IMAGE_SIZE
-from cvn.layers import Conv2D, Conv3D, Deconv3D, Dense, Norm, Volume, VolumeNorm
+from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Norm, Volume, VolumeNorm
 
 REPEATS = 5
 HEADER = (
@@ -104,7 +104,7 @@ def layers_of(network: nn.Module, batch_size: int) -> list[Layer]:
   def note(call, args, kwargs, context):
     place, module = len(found), context.module
     y = call(*args, **kwargs)
-    if isinstance(module, (Conv2D, Dense, Deconv3D, Conv3D, Norm)):
+    if isinstance(module, (Collect, Conv2D, Conv3D, Deconv3D, Dense, Norm)):
       inputs, output = jax.tree.map(
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), (args[:-1], _array(y))
       )

@@ -20,8 +20,9 @@ class Small(nn.Module):
 
   @nn.compact
   def __call__(self, image, train):
-    x = layers.Conv2D(8, 128, padding='VALID', name='conv')(image, train)
-    x = layers.Dense(16, name='dense')(x.reshape(len(x), -1), train)
+    x = layers.Conv2D(8, 3, name='conv')(image, train)
+    x = layers.Collect(8, name='collect')(x, train)
+    x = layers.Dense(16, name='dense')(x, train)
     x = layers.volume_of(x.reshape(-1, 2, 2, 2, 2))
     x = layers.Deconv3D(3, name='deconv')(x, train)
     return layers.finish(layers.Conv3D(1, name='conv3')(x, train))
@@ -70,9 +71,10 @@ def test_bytes_by_hand(dtype, size):
 def test_rows_of_a_network(monkeypatch):
   monkeypatch.setitem(train.NETWORKS, 'small', Small())
   rows = layer_table.time_layers('small', 2, False, PEAKS)
-  names = ['conv', 'conv/norm', 'dense', 'dense/norm', 'deconv', 'conv3']
+  with_norm = [f'{name}{end}' for name in ('conv', 'collect', 'dense') for end in ('', '/norm')]
+  names = [*with_norm, 'deconv', 'conv3']
   assert [r.name for r in rows] == names
-  first, dense = rows[0], rows[2]
+  first, dense = rows[0], rows[4]
   assert first.backward.operations == first.forward.operations  # a picture needs no gradient
   assert dense.backward.operations == 2 * dense.forward.operations == 4 * 2 * 8 * 16
   for row in rows:

@@ -58,7 +58,7 @@ template <typename Product, typename In, typename Out>
 void DeconvRows(const Volume& s, const Source<In>& in, const float* w, ffi::ThreadPool& pool,
                 Out* out, float* sums) {
   using Element = typename Product::Element;
-  const int64_t wide = RoundUp(s.cout, kLanes), deep = RoundUp(s.cin, Product::kDepth);
+  const int64_t wide = RoundUp(s.cout, kLanes), deep = RoundUp(s.cin, std::max(kLanes, Product::kDepth));
   const int64_t high = RoundUp(s.z, Product::kRows);
   Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide);
@@ -205,7 +205,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
   using Element = typename Product::Element;
   using Fine = FineRows<Product>;
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
-  const int64_t deep = RoundUp(s.cout, Product::kDepth), high = RoundUp(s.z, Product::kRows);
+  const int64_t deep = RoundUp(s.cout, std::max(kLanes, Product::kDepth)), high = RoundUp(s.z, Product::kRows);
   Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide_in);
   for (int64_t t = 0; t < kTaps; ++t) {

@@ -6,6 +6,7 @@
 // batch comes as one term a sample, so that it does not depend on the number of threads.
 
 #include "conv.h"
+#include "conv2d.h"
 #include "deconv.h"
 
 namespace {
@@ -143,6 +144,40 @@ ffi::Error ActivatedGradient(ffi::ThreadPool pool, AnyArray x, Array gain, Array
   });
 }
 
+Map MapOf(const Array& x, const Array& y, int64_t size) {
+  const auto d = x.dimensions();
+  return {d[0], d[1], d[2], d[3], y.dimensions()[3], size};
+}
+
+// Calls f(Tiles or Vectors): tiles where factors are to be of bfloat16 and the processor has them.
+// Without, they remain of float32.
+template <typename F>
+ffi::Error WithMapProducts(bool mixed, const F& f) {
+  mixed ? WithProducts<Bf16>(f) : WithProducts<float>(f);
+  return ffi::Error::Success();
+}
+
+ffi::Error Conv2D(ffi::ThreadPool pool, Array x, Array w, Result y, bool mixed) {
+  return WithMapProducts(mixed, [&](auto product) {
+    MapRows<decltype(product)>(MapOf(x, *y, w.dimensions()[0]), x.typed_data(), w.typed_data(),
+                               pool, y->typed_data());
+  });
+}
+
+ffi::Error Conv2DInputGradient(ffi::ThreadPool pool, Array dy, Array w, Result dx, bool mixed) {
+  return WithMapProducts(mixed, [&](auto product) {
+    MapInputGradient<decltype(product)>(MapOf(*dx, dy, w.dimensions()[0]), w.typed_data(),
+                                        dy.typed_data(), pool, dx->typed_data());
+  });
+}
+
+ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result dw, bool mixed) {
+  return WithMapProducts(mixed, [&](auto product) {
+    MapKernelGradient<decltype(product)>(MapOf(x, dy, dw->dimensions()[1]), x.typed_data(),
+                                         dy.typed_data(), pool, dw->typed_data());
+  });
+}
+
 }  // namespace
 
 #define CVN_KERNEL(name, function) \
@@ -166,3 +201,9 @@ CVN_KERNEL(cvn_activated, Activated)
 CVN_KERNEL(cvn_activated_gradient, ActivatedGradient)
     .Arg<AnyArray>().Arg<Array>().Arg<Array>().Arg<AnyArray>()
     .Ret<AnyArray>().Ret<Array>().Attr<int64_t>("activation"));
+CVN_KERNEL(cvn_conv2d, Conv2D)
+    .Arg<Array>().Arg<Array>().Ret<Array>().Attr<bool>("mixed"));
+CVN_KERNEL(cvn_conv2d_input_gradient, Conv2DInputGradient)
+    .Arg<Array>().Arg<Array>().Ret<Array>().Attr<bool>("mixed"));
+CVN_KERNEL(cvn_conv2d_kernel_gradient, Conv2DKernelGradient)
+    .Arg<Array>().Arg<Array>().Ret<Array>().Attr<bool>("mixed"));

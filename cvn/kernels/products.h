@@ -97,7 +97,7 @@ inline void AddOuter(int pairs, const float* const* a, int64_t a_stride, const f
 
 struct Vectors {
   using Element = float;
-  static constexpr int64_t kRows = 1, kDepth = kLanes;
+  static constexpr int64_t kRows = 1, kDepth = 1;
   struct Session {
     ~Session() {}
   };
