@@ -29,7 +29,7 @@ TITLES = (
   'sampled',
   'regressed',
   'weight',
-  *('result',) * len(RESULT_TURNS),
+  *('result' + (f', {turn}°' if turn else '') for turn in RESULT_TURNS),
   'truth',
 )
 
@@ -61,10 +61,10 @@ def run(f: flags.FlagValues) -> None:
   image = pictures.arrange(rows, TITLES, examples)
   caption = (
     f'{pictures.say_choice(f)} {pictures.say_training(f)} Volumes are seen from'
-    f' {pictures.SIDE}° beside the input view, results also from 120° and 240° further.'
+    f' {pictures.SIDE}° beside the input view, results also from further round.'
   )
   facts = {'figure_seed': f.figure_seed, **pictures.describe(f, examples, (BASELINE, METHOD))}
-  pictures.write(f, figures.stack([image, draw_legend(f.tile)]), caption, facts)
+  pictures.write(f, figures.stack([image, draw_legend(f.tile // 2)]), caption, facts)
 
 
 def draw_row(f, example, shown, baseline, networks: protocol.Networks) -> list[np.ndarray]:
@@ -102,7 +102,7 @@ def draw_legend(size: int) -> np.ndarray:
     [[pictures.draw_flow_code(size), bar]],
     column_titles=[
       'flow: the place in the\ninput that has the colour',
-      'weight: of the regressed\ncolour (blue), the sampled',
+      'weight: the regressed colour\ncounts (blue), the sampled (yellow)',
     ],
   )
 

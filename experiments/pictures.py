@@ -173,7 +173,7 @@ def say_training(f: flags.FlagValues) -> str:
   """Which networks these are, for a caption."""
   scope = 'for all categories' if f.models == protocol.ALL else 'a category'
   epochs = 1 if f.quick else f.epochs
-  return f'Networks: one {scope}, {epochs} epochs, seed {f.seeds[0]}.'
+  return f'Networks: one {scope}, epochs: {epochs}, seed {f.seeds[0]}.'
 
 
 def describe(

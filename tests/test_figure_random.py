@@ -104,7 +104,7 @@ def test_one_model_of_all_categories(given):
   _, facts = read_figure(given, 'x')
   assert facts['networks']['car'] == facts['networks']['zebra']
   assert facts['networks']['car']['flow'] == os.path.join('runs', 'flow_all_3')
-  assert facts['caption'].endswith('one for all categories, 1 epochs, seed 3.')
+  assert facts['caption'].endswith('one for all categories, epochs: 1, seed 3.')
 
 
 def test_a_seed_means_a_choice(given):
