@@ -148,7 +148,7 @@ def describe_network(f: flags.FlagValues, training: str, trained_on: str, seed: 
   steps = checkpoint.latest_step(workdir)
   epochs = steps / (config['models'] // config['batch_size'])
   return (
-    f'{os.path.basename(workdir)}: {epochs:g} epochs of {config["models"]} models,'
+    f'{os.path.basename(workdir)}: {epochs:.3g} epochs of {config["models"]} models,'
     f' {steps} steps of {config["batch_size"]}'
   )
 
