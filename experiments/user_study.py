@@ -45,7 +45,7 @@ def define_flags(f: flags.FlagValues) -> None:
   own = {'flag_values': f}
   flags.DEFINE_integer(
     'size',
-    460,
+    420,
     'Pixels of the pictures before what is empty in all of them is cut away.',
     lower_bound=32,
     upper_bound=1024,
