@@ -58,7 +58,7 @@ class Row(NamedTuple):
 
   name: str
   output: tuple[int, ...]
-  dtype: str  # of the layer's input
+  dtype: str  # of the factors of its products
   forward: Cost
   backward: Cost
 
@@ -183,7 +183,8 @@ def _time_layer(layer, peaks, needs_input_gradient) -> Row:
   backward = statistics.median(time_calls(jax.jit(lambda pulled, dy: pulled(dy)), pulled, dy))
   operations, moved = count_operations(layer), count_bytes(layer, needs_input_gradient)
   of_backward = operations * (2 if needs_input_gradient else 1)
-  dtype = str(_array(layer.inputs[0]).dtype)
+  mixed = isinstance(layer.module, Conv2D) and layer.module.mixed
+  dtype = 'bfloat16' if mixed else str(_array(layer.inputs[0]).dtype)
   peak = peaks.bfloat16 if dtype == 'bfloat16' else peaks.float32
   costs = [
     Cost(count, amount, max(count / peak, amount / peaks.bandwidth), seconds)

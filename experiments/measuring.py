@@ -37,6 +37,7 @@ from experiments import train as program
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
 REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
 SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES')  # variables that speed depends on
+READERS = {'shape': data.read_shape, 'color': data.read_color}
 DATA_ROUNDS = 3
 DATA_STEPS = 10  # at least, in a round: more than is read ahead
 
@@ -177,10 +178,8 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
   """
   dataset = open_dataset(path)
   program.check_sizes(dataset)
-  rows = data.select_rows(dataset, 'train')
-  batches = data.training_batches(
-    program.READERS[kind], dataset, rows, batch_size=batch_size, seed=0
-  )
+  rows, read = data.select_rows(dataset, 'train'), READERS[kind]
+  batches = data.training_batches(read, dataset, rows, batch_size=batch_size, seed=0)
   put_batch, put_state = program.make_placement(batch_size)
   state = put_state(train.create_state(jax.random.key(0), kind))
   step = train.make_step(kind, PAPER, mixed=mixed)

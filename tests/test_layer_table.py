@@ -20,7 +20,7 @@ class Small(nn.Module):
 
   @nn.compact
   def __call__(self, image, train):
-    x = layers.Conv2D(8, 3, name='conv')(image, train)
+    x = layers.Conv2D(8, 3, self.mixed, name='conv')(image, train)
     x = layers.Collect(8, name='collect')(x, train)
     x = layers.Dense(16, name='dense')(x, train)
     x = layers.volume_of(x.reshape(-1, 2, 2, 2, 2))
@@ -81,6 +81,12 @@ def test_rows_of_a_network(monkeypatch):
     for cost in (row.forward, row.backward):
       assert cost.seconds > 0
       assert cost.floor == max(cost.operations / 1e9, cost.bytes / 1e9)
+
+
+def test_convolutions_of_a_mixed_network_are_measured_by_the_peak_of_bfloat16(monkeypatch):
+  monkeypatch.setitem(train.NETWORKS, 'small', Small())
+  first, norm = layer_table.time_layers('small', 2, True, PEAKS)[:2]
+  assert (first.dtype, norm.dtype) == ('bfloat16', 'float32')
 
 
 def test_a_layer_with_weights_is_timed_without_its_normalisation():

@@ -1,13 +1,16 @@
 // The kernels of cvn/native.py, for a CPU: what XLA calls.
 //
-// Volumes are [B, X, Y, Z, C] of float32 or bfloat16, kernels [3, 3, 3, in, out] of float32. Sums are
-// made in float32 and longer ones in double. Where a volume is of bfloat16, all factors of a product
-// are, and products are made on tile units (AMX) where the processor has them. What is summed over a
-// batch comes as one term a sample, so that it does not depend on the number of threads.
+// Volumes are [B, X, Y, Z, C] of float32 or bfloat16, kernels [3, 3, 3, in, out] of float32. Sums
+// are made in float32 and longer ones in double. Where a volume is of bfloat16, all factors of a
+// product are, and products are made on tile units (AMX) where the processor has them. What is
+// summed over a batch comes as one term a sample, so that it does not depend on the number of
+// threads.
 
 #include "conv.h"
 #include "conv2d.h"
+#include "conv_gradient.h"
 #include "deconv.h"
+#include "deconv_gradient.h"
 
 namespace {
 
@@ -181,8 +184,7 @@ ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result 
 }  // namespace
 
 #define CVN_KERNEL(name, function) \
-  XLA_FFI_DEFINE_HANDLER_SYMBOL(   \
-      name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()
+  XLA_FFI_DEFINE_HANDLER_SYMBOL(name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()
 
 CVN_KERNEL(cvn_deconv, Deconv)
     .Arg<AnyArray>().Arg<Array>().Arg<Array>().Arg<Array>()

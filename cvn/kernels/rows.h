@@ -186,7 +186,7 @@ class Cotangent {
   Scratch<float> first_, second_;
 };
 
-// Sums of numbers and of their squares, or of two kinds of numbers, by channel; in double over rows.
+// Sums of numbers and of their squares, or of two kinds of numbers, by channel; over rows in doubl
 class Sums {
  public:
   explicit Sums(int64_t channels) : channels_(channels), total_(2 * channels) {}
