@@ -71,7 +71,8 @@ class Turnable(NamedTuple):
   """A model that can be turned."""
 
   title: str
-  glb: bytes
+  note: str
+  glb: bytes  # compressed by gzip; empty where there is nothing to show
 
 
 class Example(NamedTuple):

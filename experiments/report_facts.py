@@ -5,13 +5,13 @@ import os
 import platform
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cvn import machine
-from cvn.dataset import SPLITS, Dataset, open_dataset, read_json, surface_counts, to_url
+from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, surface_counts, to_url
 from experiments.report_blocks import Cell, Table
 from experiments.report_results import Workdir
 
@@ -89,23 +89,17 @@ def licence_table(data: Data) -> Table:
 
 def versions_table() -> Table:
   """Packages and the machine that made the report."""
+  system = f'{platform.system()} {platform.machine()}, Python {platform.python_version()}'
   rows = [
     ('machine', [Cell(f'{machine.processor()}, {os.cpu_count()} cores')]),
-    ('system', [Cell(f'{platform.system()} {platform.machine()}, Python '
-                     f'{platform.python_version()}')]),
-  ]  # fmt: skip
+    ('system', [Cell(system)]),
+  ]
   for package in PACKAGES:
     rows.append((package, [Cell(_version(package))]))
   return Table('Versions and machine, of this report', [], ['version'], rows, words=True)
 
 
-def describe_models(models: Iterable) -> str:
-  """How many models of which sources, such as '166 of sweethome3d and 1000 procedural'."""
-  counts = Counter(m.source for m in models)
-  return ', '.join(f'{n} of source {source}' for source, n in counts.items())
-
-
-def finished_in(data: Data, split: str) -> list:
+def finished_in(data: Data, split: str) -> list[Model]:
   """The finished models of a split."""
   return [m for m in _finished(data) if m.split == split]
 
@@ -125,10 +119,10 @@ def shorten(line: str, folders: Sequence[str]) -> str:
         return os.path.relpath(path, os.path.dirname(folder))
     return os.path.basename(path)
 
-  return re.sub(r'(?<==)(file://)?/[^\s,\'"]+', short, line)
+  return re.sub(r'(?<=[=,])(file://)?/[^\s,\'"]+', short, line)
 
 
-def _finished(data: Data):
+def _finished(data: Data) -> list[Model]:
   return [m for m, f in zip(data.dataset.manifest.models, data.finished, strict=True) if f]
 
 

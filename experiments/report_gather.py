@@ -79,7 +79,7 @@ def read_workdir(path: str) -> Workdir:
   found = Workdir(
     os.path.abspath(path),
     os.path.basename(os.path.abspath(path)),
-    _label(trainings) or os.path.basename(os.path.abspath(path)),
+    _label(tables, trainings) or os.path.basename(os.path.abspath(path)),
     tables,
     read_people(people) if people else None,
     trainings,
@@ -100,7 +100,7 @@ def read_table(path: str) -> Tabled:
   with damage(path):
     if name == 'ablation':
       parts = {
-        f'{split} {metric}': Lines([_line(r) for r in table[split][metric]], [])
+        f'{split} {metric}': Lines(_rows(table[split][metric]), [])
         for split, metric in (p.split() for p in PARTS[name])
       }
       for metric, line in table['comparisons'].items():
@@ -156,15 +156,19 @@ def read_training(folder: str) -> Training | None:
   if not (os.path.exists(config_path) and os.path.exists(log_path) and name.count('_') >= 2):
     return None
   config = read_json(config_path)
+  with damage(config_path):
+    batch = int(config['batch_size'])
+    epoch = config['models'] // batch if batch > 0 else 0  # steps
+    learning_rate = config.get('learning_rate')
+    numbers = learning_rate is None or isinstance(learning_rate, int | float)
+    if not (epoch and numbers and isinstance(config.get('category', []), list)):
+      raise ValueError(config)
   text = read_bytes(log_path).decode(errors='replace')
+  training, scope, seed = name.rsplit('_', 2)
   with damage(log_path):
     # The last line is cut where the training is being written or was stopped.
     lines = [json.loads(x) for x in text.splitlines(keepends=True) if x.endswith('\n')]
     lines = [(x, int(x['step'])) for x in lines]
-  with damage(config_path):
-    batch = int(config['batch_size'])
-    epoch = config['models'] // batch
-    training, scope, seed = name.rsplit('_', 2)
     steps = max((step for _, step in lines), default=0)
     return Training(
       name,
@@ -176,7 +180,11 @@ def read_training(folder: str) -> Training | None:
       steps / epoch,
       steps * batch,
       [(n * batch, float(x['loss'])) for x, n in lines if 'loss' in x],
-      [(n * batch, x['validation']) for x, n in lines if 'validation' in x],
+      [
+        (n * batch, {k: float(v) for k, v in x['validation'].items()})
+        for x, n in lines
+        if 'validation' in x
+      ],
     )
 
 
@@ -239,15 +247,20 @@ def _distinct(name: str, taken: Sequence[str]) -> str:
   return next(x for x in itertools.chain([name], numbered) if x not in taken)
 
 
-def _label(trainings: Sequence[Training]) -> str:
-  """What networks these are."""
-  scopes, seeds = ({getattr(t, k) for t in trainings} for k in ('scope', 'seed'))
-  if not scopes:
-    return ''
-  several = f', {len(seeds)} seeds' if len(seeds) > 1 else ''
-  if scopes == {protocol.ALL}:
-    return f'one network for all categories{several}'
-  return f'a network a category ({", ".join(sorted(scopes))}){several}'
+def _label(tables: Mapping[str, Tabled], trainings: Sequence[Training]) -> str:
+  """What networks the tables are of or, without tables, which have been trained."""
+  if tables:
+    first = next(iter(tables.values()))
+    seeds = {*first.settings['seeds']}
+    scopes = {c for lines in first.parts.values() for row in lines.rows for c in row.categories}
+    scopes = {protocol.ALL} if first.settings['models'] == protocol.ALL else scopes
+  else:
+    scopes, seeds = ({getattr(t, k) for t in trainings} for k in ('scope', 'seed'))
+  names = sorted(scopes - {protocol.ALL})
+  parts = ['one network for all categories'] * (protocol.ALL in scopes)
+  parts += [f'a network a category ({", ".join(names)})'] * bool(names)
+  parts += [f'{len(seeds)} seeds'] * (len(seeds) > 1)
+  return ', '.join(parts)
 
 
 def _files(path: str, folder: str, suffix: str) -> dict[str, str]:
@@ -265,7 +278,13 @@ def _settings(table):
 
 def _lines(part) -> Lines:
   comparisons = part['comparisons'] if 'comparisons' in part else [part['comparison']]
-  return Lines([_line(r) for r in part['rows']], [read_comparison(c) for c in comparisons])
+  return Lines(_rows(part['rows']), [read_comparison(c) for c in comparisons])
+
+
+def _rows(rows) -> list[Line]:
+  if not rows:
+    raise ValueError(rows)
+  return [_line(r) for r in rows]
 
 
 def _line(row) -> Line:

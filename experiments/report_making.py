@@ -30,7 +30,7 @@ def _trainings_table(w: Workdir) -> Table:
     spent = sum(s for line, s in w.seconds.items() if f'/runs/{t.name} ' in f'{line} ')
     numbers = [f'{last[k]:.4f}' if k in last else '–' for k in ('loss', 'iou')]
     texts = [
-      t.config.get('recipe', '–'),
+      str(t.config.get('recipe', '–')),
       t.seed,
       f'{t.epochs:.3g}',
       f'{t.steps:,}',

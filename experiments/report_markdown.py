@@ -1,5 +1,7 @@
 """The report as Markdown, with its pictures as files beside it."""
 
+import math
+
 from experiments.report_blocks import (
   Block,
   Cell,
@@ -51,7 +53,7 @@ def _block(block: Block) -> str:
       return f'![{_text(caption)}]({name}.png)\n\n*{_text(caption)}*'
     case Commands(title, lines):
       shown = [
-        line if seconds != seconds else f'{line}  # {minutes(seconds)}' for line, seconds in lines
+        line if math.isnan(seconds) else f'{line}  # {minutes(seconds)}' for line, seconds in lines
       ]
       return f'{_text(title)}\n\n```sh\n' + '\n'.join(shown) + '\n```'
     case Examples(examples, still):

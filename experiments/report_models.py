@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from cvn import export, figures, methods
+from cvn import export, figures, methods, metrics
 from cvn.dataset import Dataset, read_record, to_url
 from cvn.grid import ColoredVoxels
 from experiments import protocol, scoring
@@ -117,23 +117,24 @@ def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndar
   model, azimuth = manifest.models[chosen.row], manifest.azimuths[chosen.view]
   record = read_record(dataset, chosen.row)
   view = record.views[chosen.view]
-  shown: list[tuple[str, ColoredVoxels]] = []
+  true = scoring.to_voxels(record, manifest.grid_size)
+  shown: list[tuple[str, str, ColoredVoxels]] = []
   for method, score in chosen.scores.items():
     networks = {
       'shape': load(score.shape, methods.SHAPE_KINDS),
       'color': load(score.color, methods.COLOR_KINDS),
     }
     found = reconstruct(view, method, score, networks, manifest.grid_size)
-    shown.append((SHOWN[method], found))
-  shown.append(('truth', scoring.to_voxels(record, manifest.grid_size)))
+    iou = float(metrics.iou(found.occupancy, true.occupancy))
+    shown.append((SHOWN[method], f'threshold {score.threshold:.2f}, IoU {iou:.2f}', found))
+  shown.append(('truth', '', true))
   start = azimuth + BESIDE
-  models, tiles = [], [figures.enlarge(view, STILL)]
-  for title, voxels in shown:
-    tiles.append(figures.draw_voxels(voxels, start, size=STILL))
-    if voxels.occupancy.any():
-      models.append(Turnable(title, to_glb(voxels)))
-    else:
-      models.append(Turnable(f'{title}: no voxel is occupied', b''))
+  models = [
+    Turnable(title, note, to_glb(voxels) if voxels.occupancy.any() else b'')
+    for title, note, voxels in shown
+  ]
+  tiles = [figures.enlarge(view, STILL)]
+  tiles += [figures.draw_voxels(voxels, start, size=STILL) for *_, voxels in shown]
   credit = ', '.join(x for x in (model.id, model.creator, model.licence) if x)
   title = f'{model.category}, seen from {azimuth:g}°'
   example = Example(title, to_png(figures.over(view)), start, models, f'{credit}.')

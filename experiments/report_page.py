@@ -2,6 +2,7 @@
 
 import base64
 import html
+import math
 import re
 
 from experiments import viewer
@@ -22,6 +23,8 @@ from experiments.report_blocks import (
 )
 from experiments.report_style import STYLE
 
+# Nothing is fetched, whatever the texts in the page are.
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 CANVAS = 560  # pixels; pages show it smaller, screens with twice the pixels as it is
 
 
@@ -36,6 +39,7 @@ def render(report: Report) -> str:
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
 <title>{_text(report.title)}</title>
 <style>{STYLE}</style>
 </head>
@@ -141,23 +145,25 @@ def _classes(**named: bool) -> str:
 
 
 def _picture(picture: Picture) -> str:
-  limit = f' style="max-width: min(100%, {picture.width}px)"' if picture.width else ''
-  drawn = picture.svg or (
-    f'<img alt="{_text(picture.caption)}" src="{_data_uri(picture.png)}"{limit} loading="lazy">'
-  )
-  kind = 'plot' if picture.svg else 'picture'
+  label = html.escape(picture.caption)
+  if picture.svg:
+    kind, drawn = 'plot', picture.svg.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
+  else:
+    limit = f' style="max-width: min(100%, {picture.width}px)"' if picture.width else ''
+    source = f'src="{_data_uri(picture.png)}" loading="lazy"'
+    kind, drawn = 'picture', f'<img alt="{label}" {source}{limit}>'
   return f'<figure class="{kind}">{drawn}<figcaption>{_text(picture.caption)}</figcaption></figure>'
 
 
 def _commands(commands: Commands) -> str:
   lines = [
     f'<li><code>{_command(line)}</code>'
-    + ('' if seconds != seconds else f' <span class="time">{minutes(seconds)}</span>')
+    + ('' if math.isnan(seconds) else f' <span class="time">{minutes(seconds)}</span>')
     + '</li>'
     for line, seconds in commands.lines
   ]
   listed = f'<ol class="commands">{"".join(lines)}</ol>'
-  if any(seconds == seconds for _, seconds in commands.lines):
+  if not all(math.isnan(seconds) for _, seconds in commands.lines):
     return f'<details><summary>{_text(commands.title)}</summary>{listed}</details>'
   return f'<p>{_text(commands.title)}</p>{listed}'
 
@@ -178,7 +184,8 @@ def _example(name: str, example: Example) -> str:
       if model.glb
       else '<div class="viewer"></div>'
     )
-    cells.append(f'<div>{canvas}<span>{_text(model.title)}</span></div>')
+    note = f'<small>{_text(model.note)}</small>'
+    cells.append(f'<div>{canvas}<span>{_text(model.title)}{note}</span></div>')
   return (
     f'<figure class="example"><div class="row">{"".join(cells)}</div>'
     f'<figcaption><b>{_text(example.title)}.</b> {_text(example.credit)}</figcaption></figure>'

@@ -64,7 +64,9 @@ def to_picture(figure: matplotlib.figure.Figure, name: str, caption: str) -> Pic
   text = text[text.index('<svg') :].replace(INK, 'currentColor')
   # Names are the page's, and several plots have the same ones.
   text = re.sub(r'(\bid="|url\(#|href="#)', rf'\g<1>{name}-', text)
-  text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
+  text = re.sub(r' xmlns(:xlink)?="[^"]*"', '', text).replace('xlink:href', 'href')
+  # Its style would be the whole page's: experiments.report_style has it instead.
+  text = re.sub(r'<(metadata|style).*?</\1>', '', text, flags=re.DOTALL)
   text = re.sub(r'font: ([\d.]+)px [^;"]+', r'font-size: \1px', text)
   return Picture(name, png.getvalue(), caption, text)
 

@@ -70,7 +70,8 @@ def make_report(workdirs: Sequence[Workdir], *, per_category: int, seed: int) ->
     Section('data', 'Data, licences, credits', report_making.licences(data)),
   ]
   made = f'Made on {datetime.date.today():%d %B %Y} by `python -m experiments.report`.'
-  return Report(TITLE, report_setting.abstract(workdirs, data), made, sections)
+  kept = [s for s in sections if s.blocks]
+  return Report(TITLE, report_setting.abstract(workdirs, data), made, kept)
 
 
 def _glance(workdirs) -> list[Block]:
@@ -91,13 +92,15 @@ def _glance(workdirs) -> list[Block]:
     return [missing('Tables 1 to 3', 'experiments.table_iou')]
   caption = (
     'The paper’s method against the others, model by model: right of the line it is better.'
-    ' Whiskers: one standard error over test models; ticks: single seeds. Thresholds of occupancy'
-    ' are chosen on val for every method.'
+    ' Whiskers: one standard error over test models; ticks: single seeds. For the IoU, every'
+    ' method’s threshold of occupancy is chosen on val.'
   )
   return [report_plots.differences(panels, 'glance', caption)]
 
 
 def _models(workdirs, data, per_category, seed) -> list[Block]:
+  if not per_category:
+    return []
   found = []
   for w in workdirs:
     for url in (u for u in report_facts.data_of(w) if u in data):

@@ -15,7 +15,7 @@ from experiments.report_results import Workdir
 
 PAPER_VIEWS = (220_500, 1_186_000)  # 500 epochs of 441 guitars, of 2372 cars
 PAPER = {
-  'data': 'ShapeNet: 3,389 cars, 2,199 chairs, 2,539 tables, 631 guitars; people: 367 scans',
+  'data': 'ShapeNet: 3,389 cars, 2,199 chairs, 2,539 tables, 631 guitars; people: 367 meshes',
   'networks': 'one a category',
   'models to train on': '441 (guitars) to 2,372 (cars) a network',
   'models to test on': '678 cars, 440 chairs, 508 tables, 127 guitars',
@@ -25,15 +25,16 @@ PAPER = {
   'views seen by a network': f'{PAPER_VIEWS[0]:,} to {PAPER_VIEWS[1]:,}',
   'arithmetic': 'float32',
   'BatchNorm at test time': 'running averages',
-  'seeds': 'one',
+  'seeds': 'not said',
 }
 # Of models, in words.
 SOURCES = {
-  'sweethome3d': 'of Sweet Home 3D',
+  'sweethome3d': 'models of Sweet Home 3D',
+  'procedural': 'procedural models',
   'humans': 'people made from MakeHuman’s bodies',
-  'shapenet': 'of ShapeNet',
-  'im2avatar_release': 'of the authors’ release',
-  'meshes': 'own meshes',
+  'shapenet': 'models of ShapeNet',
+  'im2avatar_release': 'models of the authors’ release',
+  'meshes': 'other meshes',
 }
 # The program of each table or figure, by the name of what it leaves.
 PROGRAMS = {
@@ -83,7 +84,7 @@ def abstract(workdirs: Sequence[Workdir], data: dict[str, Data]) -> list[str]:
   sets = [_sources(models) for d in data.values() if (models := _all(d))]
   said = (
     f'{len(trainings)} trainings of the networks of Im2Avatar (Sun, Liu, Wang and Sarma, 2018)'
-    + (f' on models that anyone can get ({"; ".join(sets)})' if sets else '')
+    + (f' on {"; ".join(sets)}' if sets else '')
     + ', judged on held-out models by the paper’s measures: mean IoU of shapes, and surface PSNR of'
     ' colours. Every number below was printed by a command that is listed at the end.'
   )
@@ -205,7 +206,7 @@ def _sources(models) -> str:
   counts: dict[str, int] = {}
   for m in models:
     counts[m.source] = counts.get(m.source, 0) + 1
-  return ', '.join(f'{n:,} {SOURCES.get(s, s)}' for s, n in counts.items())
+  return ', '.join(f'{n:,} {SOURCES.get(s, f"models of {s}")}' for s, n in counts.items())
 
 
 def _count(categories: Iterable[str]) -> str:

@@ -50,13 +50,16 @@ td { font-variant-numeric: tabular-nums; }
 .best { font-weight: 700; }
 .words th, .words td { text-align: left; vertical-align: top; white-space: normal; }
 .words tbody th { white-space: nowrap; }
-.plot svg { width: 100%; height: auto; max-width: 860px; display: block; }
+.plot { overflow-x: auto; }
+.plot svg { width: 100%; height: auto; min-width: 560px; max-width: 860px; display: block; }
+.plot svg * { stroke-linejoin: round; stroke-linecap: butt; }
 .plot svg text { font-family: inherit !important; }
 .picture img { max-width: 100%; display: block; background: var(--picture); padding: 8px;
   border-radius: 6px; }
-.example .row { display: flex; flex-wrap: wrap; gap: .8rem; align-items: flex-end; }
+.example .row { display: flex; flex-wrap: wrap; gap: .8rem; }
 .example .row > div { flex: 1 1 0; min-width: 132px; max-width: 280px; }
 .example span { display: block; text-align: center; font-size: .85rem; margin-top: .3rem; }
+.example small { display: block; color: var(--soft); font-variant-numeric: tabular-nums; }
 .view, .viewer { display: block; width: 100%; aspect-ratio: 1; border-radius: 6px;
   background: var(--faint); }
 .viewer { cursor: grab; touch-action: pan-y; }

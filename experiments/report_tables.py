@@ -99,14 +99,9 @@ def ablation_table(parts: dict[str, Lines], caption: str) -> list[Block]:
     values = [mean_over_models(row) for row in lines.rows]
     percent = name.endswith('iou')
     form = '.3f' if percent else '.2f'
-    gains = [f'{v / values[0] - 1:+.0%}' if percent else f'{v - values[0]:+.2f}' for v in values]
-    best = {f'{v:{form}}' for v in values if v == max(values)}
-    columns.append(
-      [
-        Cell(text := f'{v:{form}}', g if n else '', text in best)
-        for n, (v, g) in enumerate(zip(values, gains, strict=True))
-      ]
-    )
+    gains = ['', *(_gain(v, values[0], percent) for v in values[1:])]
+    cells = [_plain(v, form)._replace(detail=g) for v, g in zip(values, gains, strict=True)]
+    columns.append(_mark_best(cells))
   rows = next(iter(parts.values())).rows
   heads = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB, dB'}
   splits = [p.split() for p in parts]
@@ -121,7 +116,8 @@ def ablation_table(parts: dict[str, Lines], caption: str) -> list[Block]:
     for (_, metric), lines in zip(splits, parts.values(), strict=True)
     for c in lines.comparisons
   ]
-  return [table, _compared('The last line minus the first, model by model, on test', compared)]
+  caption = 'The last line minus the first, model by model, on test'
+  return [table, *([_compared(caption, compared)] if compared else [])]
 
 
 def mean_over_models(row: Line) -> float:
@@ -154,6 +150,13 @@ def _compared(caption: str, rows: Sequence[tuple[str, Comparison, str]]) -> Tabl
     ['difference', '', 'above in', 'of models', *([''] * seeds)],
     [(label, cells(c, form)) for label, c, form in rows],
   )
+
+
+def _gain(value: float, first: float, percent: bool) -> str:
+  """Over the first value; empty where there is no such number."""
+  if math.isnan(value - first) or (percent and not first):
+    return ''
+  return f'{value / first - 1:+.0%}' if percent else f'{value - first:+.2f}'
 
 
 def _column(numbers: Sequence[Number | None], name: str, form: str):

@@ -159,7 +159,7 @@ function show(canvas) {
   }
   const name = canvas.dataset.group || canvas.dataset.glb;
   // Degrees, as in the panels, and units of the cube's side.
-  const start = {azimuth: +canvas.dataset.azimuth, elevation: 20, distance: 3, views: [],
+  const start = {azimuth: +canvas.dataset.azimuth, elevation: 20, distance: 3.5, views: [],
     turning: !matchMedia('(prefers-reduced-motion: reduce)').matches};
   if (!groups.has(name)) groups.set(name, start);
   const group = groups.get(name), view = {canvas, seen: false, model: null};

@@ -1,0 +1,125 @@
+"""Models to turn: which ones are chosen, and that they are what the networks make of the views."""
+
+import gzip
+import io
+import shutil
+
+import numpy as np
+import pytest
+import synthetic
+import trimesh
+import workdirs
+from test_evaluate import save_network
+
+from cvn import data, reconstruct
+from cvn.dataset import read_record
+from cvn.networks import ColorNetwork, ShapeNetwork
+from experiments import report_facts, report_gather, report_models, scoring
+
+IMAGE, GRID = 32, 16
+
+
+@pytest.fixture(scope='module')
+def root(tmp_path_factory):
+  """A data set of eggs and balls, and a workdir of networks that were judged on it."""
+  root = tmp_path_factory.mktemp('models')
+  options = {'azimuths': (0, 90), 'image_size': IMAGE, 'grid_size': GRID}
+  splits = ('train', 'test', 'test', 'test')
+  made = synthetic.make_dataset(
+    root / 'data', 8, splits=splits, categories=('egg', 'ball'), **options
+  )
+  work = root / 'work'
+  save_network(str(work / 'runs/msfcel_all_0'), 'shape', ShapeNetwork(IMAGE, GRID))
+  save_network(str(work / 'runs/blended_all_0'), 'color', ColorNetwork(IMAGE, GRID))
+  workdirs.write_training(root / 'other')  # a log, without which a training has not begun
+  for name in ('msfcel_all_0', 'blended_all_0'):
+    shutil.copy(root / 'other/runs/msfcel_all_0/log.jsonl', work / 'runs' / name)
+    workdirs.write_json(work / 'runs' / name / 'config.json', _config(root, name))
+  rows = data.select_rows(made, 'test')
+  models = {made.manifest.models[r].id: made.manifest.models[r].category for r in rows}
+  workdirs.write_json(work / 'scores/blended_0.2_all_0_test.json', _report(root, models))
+  return root
+
+
+def _config(root, name):
+  kind = 'shape' if name.startswith('msfcel') else 'color'
+  return {'format': 1, 'network': kind, 'models': 4, 'batch_size': 2, 'data': str(root / 'data')}
+
+
+def _report(root, models):
+  return {
+    **{'data': str(root / 'data'), 'split': 'test', 'alpha': 0.2, 'threshold': 0.4},
+    # As they were named elsewhere, before the workdir was moved here.
+    **{'shape': '/elsewhere/runs/msfcel_all_0', 'color': '/elsewhere/runs/blended_all_0/'},
+    'networks': {'by_model': {m: {'category': c} for m, c in models.items()}},
+  }
+
+
+@pytest.fixture
+def given(root):
+  workdir = report_gather.read_workdir(str(root / 'work'))
+  return workdir, report_facts.open_data(f'file://{root}/data/')
+
+
+def test_chosen_are_test_models_of_each_category_by_seed(given):
+  workdir, opened = given
+  models = opened.dataset.manifest.models
+  choices = [
+    report_models.choose(workdir, opened, per_category=2, seed=seed) for seed in (0, 0, 1, 2, 3)
+  ]
+  assert choices[0] == choices[1]
+  assert len({str(c) for c in choices}) > 1
+  for chosen in choices:
+    assert [models[c.row].category for c in chosen] == ['ball', 'ball', 'egg', 'egg']
+    assert len({c.row for c in chosen}) == 4
+    assert {models[c.row].split for c in chosen} == {'test'}
+
+
+def test_networks_are_found_where_they_were_moved_to(given):
+  (chosen, *_) = report_models.choose(*given, per_category=1, seed=0)
+  assert chosen.scores['blended_0.2'].shape == f'{given[0].path}/runs/msfcel_all_0'
+
+
+def test_examples_hold_what_the_networks_make_of_the_view(given):
+  workdir, opened = given
+  found = report_models.make_examples(workdir, opened, per_category=1, seed=0, name='still')
+  (first, _) = found.examples
+  chosen = report_models.choose(workdir, opened, per_category=1, seed=0)[0]
+  record = read_record(opened.dataset, chosen.row)
+  shape, color = (
+    scoring.load(f'{workdir.path}/runs/{name}', [kind], opened.dataset).variables
+    for name, kind in (('msfcel_all_0', 'shape'), ('blended_all_0', 'color'))
+  )
+  view = record.views[[chosen.view]].astype(np.float32) / 255
+  probability = reconstruct.reconstruct(shape, color, view, grid_size=GRID).probability[0]
+  occupied = np.asarray(probability) >= 0.4
+  true = scoring.to_voxels(record, GRID).occupancy
+  iou = (occupied & true).sum() / (occupied | true).sum()
+  titles = [(m.title, m.note) for m in first.models]
+  assert titles == [('paper’s method', f'threshold 0.40, IoU {iou:.2f}'), ('truth', '')]
+  model = opened.dataset.manifest.models[chosen.row]
+  assert first.title == f'{model.category}, seen from {(0, 90)[chosen.view]}°'
+  assert model.id in first.credit
+  for shown, occupancy in zip(first.models, (occupied, true), strict=True):
+    scene = trimesh.load_scene(io.BytesIO(gzip.decompress(shown.glb)), file_type='glb')
+    low, high = scene.bounds
+    inside = np.argwhere(occupancy)
+    np.testing.assert_allclose(low, inside.min(0) / GRID - 0.5, atol=1e-6)
+    np.testing.assert_allclose(high, (inside.max(0) + 1) / GRID - 0.5, atol=1e-6)
+
+
+def test_nothing_is_shown_where_networks_or_their_data_are_gone(given, tmp_path):
+  workdir, opened = given
+  options = {'per_category': 1, 'seed': 0, 'name': 'still'}
+  moved = workdir._replace(path=str(tmp_path))
+  assert report_models.make_examples(moved, opened, **options) is None
+  elsewhere = [s._replace(data='/elsewhere') for s in workdir.scores]
+  assert report_models.make_examples(workdir._replace(scores=elsewhere), opened, **options) is None
+
+
+def test_a_result_without_voxels_is_told(given):
+  workdir, opened = given
+  empty = workdir._replace(scores=[s._replace(threshold=2.0) for s in workdir.scores])
+  found = report_models.make_examples(empty, opened, per_category=1, seed=0, name='still')
+  shown, _ = found.examples[0].models
+  assert (shown.note, shown.glb) == ('threshold 2.00, IoU 0.00', b'')
