@@ -14,7 +14,7 @@ SIZES = {'image_size': 32, 'grid_size': 16}  # the smallest that the networks ca
 
 @pytest.fixture
 def made(monkeypatch):
-  """The compiled functions that the program makes; `draw` is left out."""
+  """The compiled functions that the program makes; pictures are left out."""
   made = {'make_step': [], 'make_eval': []}
 
   def noting(name, function):
@@ -29,7 +29,7 @@ def made(monkeypatch):
   networks = {'shape': ShapeNetwork(**SIZES), 'color': ColorNetwork(**SIZES)}
   monkeypatch.setattr(train, 'NETWORKS', networks)
   monkeypatch.setattr(program, 'check_sizes', lambda dataset: None)
-  monkeypatch.setattr(program, 'draw', lambda *_: np.zeros((8, 8, 3), np.uint8))
+  monkeypatch.setattr(program, 'draw_views', lambda *_: np.zeros((8, 8, 3), np.uint8))
   return made
 
 
