@@ -125,7 +125,9 @@ def read_answers(path: str, key: dict[str, Any]) -> tuple[str, list[dict[str, An
   if not isinstance(found, dict) or found.get('format') != ANSWERS_FORMAT:
     raise UserError(f'{path} is no file of answers of format {ANSWERS_FORMAT}: leave it out')
   if found.get('page') != key['page']:
-    raise UserError(f'{path} is of page {found.get("page")}, --study is page {key["page"]}')
+    raise UserError(
+      f'{path} is of page {found.get("page")}, --study is page {key["page"]}: leave it out'
+    )
   subject, answers = found.get('subject'), found.get('answers')
   if not isinstance(subject, str) or not re.fullmatch(SUBJECT, subject):
     raise UserError(f'{path} is damaged: {subject!r} is no subject')

@@ -9,6 +9,7 @@ from experiments import study_shapes, user_study
 
 COLORS = {'blended_0.2': (0.9, 0.2, 0.2), 'regression': (0.2, 0.9, 0.2), 'flow': (0.2, 0.2, 0.9)}
 SIZE = 48  # pixels of drawings
+FRAMES = 16  # of a turn, in two lines
 GRID = 16
 
 
@@ -55,6 +56,7 @@ def without_networks(monkeypatch) -> list:
 def make_study(tmp_path, monkeypatch, *more: str) -> str:
   """Runs experiments.user_study; returns its folder."""
   without_networks(monkeypatch)
+  monkeypatch.setattr(user_study, 'FRAMES', FRAMES)  # fewer, to be quick
   make_data(tmp_path)
   folder = tmp_path / 'study'
   f = parse(

@@ -13,7 +13,7 @@ from PIL import Image
 from cvn import figures
 from cvn.grid import ColoredVoxels
 from experiments import protocol, user_study
-from experiments.user_study import COLUMNS, FRAMES, GREY
+from experiments.user_study import COLUMNS, GREY
 
 
 @pytest.fixture(scope='module')
@@ -70,6 +70,7 @@ def test_same_flags_same_page_other_seed_other_page(tmp_path, monkeypatch):
 def test_output_is_below_the_workdir_by_default(tmp_path, monkeypatch, capsys):
   studies.without_networks(monkeypatch)
   studies.make_data(tmp_path)
+  monkeypatch.setattr(user_study, 'FRAMES', studies.FRAMES)
   own = ('--models=all', '--size=32', '--shapes=1', '--against=flow')
   assert user_study.run(studies.parse(user_study.define_flags, tmp_path, *own)) == 0
   out = capsys.readouterr().out
@@ -79,12 +80,13 @@ def test_output_is_below_the_workdir_by_default(tmp_path, monkeypatch, capsys):
 
 def _frames(sheet):
   image = np.asarray(Image.open(io.BytesIO(sheet.image)).convert('RGB'))
-  assert image.shape == (FRAMES // COLUMNS * sheet.height, COLUMNS * sheet.width, 3)
+  assert image.shape == (user_study.FRAMES // COLUMNS * sheet.height, COLUMNS * sheet.width, 3)
   lines = image.reshape(-1, sheet.height, COLUMNS, sheet.width, 3).swapaxes(1, 2)
-  return lines.reshape(FRAMES, sheet.height, sheet.width, 3)
+  return lines.reshape(user_study.FRAMES, sheet.height, sheet.width, 3)
 
 
-def test_turntable_starts_at_the_picture_and_goes_round():
+def test_turntable_starts_at_the_picture_and_goes_round(monkeypatch):
+  monkeypatch.setattr(user_study, 'FRAMES', studies.FRAMES)
   box = studies.make_box('flow')
   box.color[8:] = (0.9, 0.9, 0.1)  # two sides
   small = box._replace(occupancy=box.occupancy & (np.arange(16) < 10))
@@ -93,8 +95,8 @@ def test_turntable_starts_at_the_picture_and_goes_round():
   turns = [
     np.stack(
       [
-        figures.draw_voxels(v, 60 + 360 * n / FRAMES, size=64, background=GREY)
-        for n in range(FRAMES)
+        figures.draw_voxels(v, 60 + 360 * n / user_study.FRAMES, size=64, background=GREY)
+        for n in range(user_study.FRAMES)
       ]
     )
     for v in (box, small)
@@ -102,7 +104,7 @@ def test_turntable_starts_at_the_picture_and_goes_round():
   rows, columns = user_study.common_frame(turns)
   for sheet, turn in zip(sheets, turns, strict=True):
     errors = np.abs(_frames(sheet)[:, None] - turn[None, :, rows, columns].astype(int))
-    assert (errors.mean((2, 3, 4)).argmin(1) == np.arange(FRAMES)).all()
+    assert (errors.mean((2, 3, 4)).argmin(1) == np.arange(user_study.FRAMES)).all()
 
 
 def test_frame_is_symmetric_and_holds_all():

@@ -23,15 +23,17 @@ DRIVER = shutil.which('chromedriver')
 pytestmark = pytest.mark.skipif(
   not (BROWSER and DRIVER), reason='needs a browser: chromium and chromedriver are not installed'
 )
-PAIRS = 10
+PAIRS = 8
 OURS = 'blended_0.2'
 
 
 @pytest.fixture(scope='module')
 def study(tmp_path_factory):
-  """The folder of a study of 5 shapes."""
+  """The folder of a study of 4 shapes."""
   with pytest.MonkeyPatch.context() as monkeypatch:
-    return pathlib.Path(studies.make_study(tmp_path_factory.mktemp('made'), monkeypatch))
+    return pathlib.Path(
+      studies.make_study(tmp_path_factory.mktemp('made'), monkeypatch, '--shapes=2')
+    )
 
 
 @pytest.fixture
@@ -203,17 +205,17 @@ def test_models_turn_together_and_stop_on_demand(browser, study):
   subject.press(webdriver.Keys.ARROW_UP)
   stopped = turn()
   subject.press(webdriver.Keys.ARROW_DOWN)
-  assert turn() == (stopped - 1) % 32
+  assert turn() == (stopped - 1) % studies.FRAMES
   handle = subject.find('#left .turntable')
   webdriver.ActionChains(browser).drag_and_drop_by_offset(handle, 60, 0).perform()
   dragged = turn()
-  assert dragged != (stopped - 1) % 32
+  assert dragged != (stopped - 1) % studies.FRAMES
   time.sleep(0.5)
   assert turn() == dragged
   subject.find('#right .sides canvas:nth-child(3)').click()
-  assert turn() == 16
+  assert turn() == studies.FRAMES // 2
   subject.press(webdriver.Keys.SPACE)
-  subject.wait(lambda: turn() != 16)
+  subject.wait(lambda: turn() != studies.FRAMES // 2)
   assert subject.find('#progress').text == f'1 of {PAIRS}'  # nothing was chosen by all that
 
 
