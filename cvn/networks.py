@@ -20,6 +20,9 @@ from cvn.normalization import IDENTITY, SIGMOID, Activation
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
 DECODER = (64, 32, 32)  # channels of the deconvolutions before the heads
 
+# Of a channel of the joint volume: -0.5 where empty, and about a fortieth of it is surface.
+JOINT_MEAN, JOINT_SPREAD = -0.475, 0.15
+
 
 class ColorVolumes(NamedTuple):
   """What the colour network says of every voxel; all in [0, 1]."""
@@ -173,7 +176,9 @@ class AdaptedR2N2(nn.Module):
   """The baseline: one volume [B, X, Y, Z, 3] of shape and colour jointly; empty is -0.5.
 
   3D-R2N2 without recurrence and with one more upsampling layer (section 4, competing methods), on
-  this framework's own trunk: 'all other training settings are kept constant'.
+  this framework's own trunk: 'all other training settings are kept constant'. A normalised output
+  starts with mean 0 and variance 1, far from a volume that is nearly everywhere empty; what is
+  normalised here is the difference from that volume's mean, in units of its spread.
   """
 
   image_size: int = IMAGE_SIZE
@@ -183,7 +188,7 @@ class AdaptedR2N2(nn.Module):
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
     x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 3, name='head')(x, train)
+    return JOINT_MEAN + JOINT_SPREAD * Head(24, 3, name='head')(x, train)
 
 
 NETWORKS = {

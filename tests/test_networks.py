@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from cvn.networks import (
+  JOINT_MEAN,
+  JOINT_SPREAD,
   NETWORKS,
   AdaptedR2N2,
   ColorNetwork,
@@ -62,6 +64,19 @@ def test_outputs(network):
   # Training returns this batch's statistics, whatever the running ones were.
   before, after = jax.tree.leaves(variables['batch_stats']), jax.tree.leaves(mutated['batch_stats'])
   assert any(not np.allclose(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_the_joint_baseline_starts_at_the_spread_of_its_target():
+  """-0.5 where empty, colours of mean 0.5 on a fortieth of the voxels."""
+  target = np.where(np.arange(4000) % 40 == 0, 0.5, -0.5)
+  assert JOINT_MEAN == pytest.approx(target.mean(), abs=0.01)
+  assert JOINT_SPREAD == pytest.approx(target.std(), abs=0.01)
+  network = AdaptedR2N2(**SMALL)
+  image = jax.random.uniform(jax.random.key(1), (2, 64, 64, 3))
+  variables = network.init(jax.random.key(0), image, train=False)
+  out, _ = network.apply(variables, image, train=True, mutable='batch_stats')
+  np.testing.assert_allclose(out.mean((0, 1, 2, 3)), JOINT_MEAN, atol=1e-3)
+  np.testing.assert_allclose(out.std((0, 1, 2, 3)), JOINT_SPREAD, rtol=2e-2)
 
 
 def test_evaluation_treats_every_image_alone():
