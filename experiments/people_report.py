@@ -76,7 +76,7 @@ def to_json(s: Study) -> dict[str, Any]:
     'category': s.category,
     'networks': s.networks,
     'thresholds': s.thresholds,
-    'models': s.models,
+    'test_models': s.models,
     'iou': _numbers(a.overall),
     'baseline_iou': _numbers(intervals.mean(s.baseline)),
     **{k: _numbers(_mean(s.scores[k])) for k in ('psnr_rgb', 'psnr_ycbcr')},

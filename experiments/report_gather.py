@@ -124,13 +124,11 @@ def read_people(path: str) -> People:
   """The numbers of experiments.people."""
   found = read_json(path)
   with damage(path):
-    # There `models` are the test models' ids, in the place of the flag.
-    scope = protocol.ALL if f'_{protocol.ALL}_' in ' '.join(found['networks']) else 'category'
     return People(
-      {**_settings(found), 'models': scope},
+      _settings(found),
       str(found['category']),
       [str(n) for n in found['networks']],
-      len(found['models']),
+      len(found['test_models']),
       {k: _estimate(found[k]) for k in ('iou', 'baseline_iou', 'psnr_rgb', 'psnr_ycbcr')},
       *(_estimate(found[k]) for k in ('sides', 'front_and_back', 'difference')),
       [

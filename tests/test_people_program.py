@@ -83,7 +83,7 @@ def test_the_whole_study(given, commands, capsys):
   with open(folder / 'scores' / 'blended_0.2_human_0_test.json') as f:
     whole = json.load(f)
   report = whole['networks']
-  assert found['models'] == ['m2', 'm6']  # people for testing
+  assert found['test_models'] == ['m2', 'm6']  # people for testing
   for azimuth in map(str, AZIMUTHS):
     iou = report['by_view'][azimuth]['iou']
     assert found['by_azimuth'][azimuth]['value'] == pytest.approx(iou)

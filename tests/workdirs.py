@@ -90,7 +90,9 @@ def write_people(folder):
     tested=complexity,
     analysis=people_analysis.analyze(AZIMUTHS, iou, complexity),
   )
-  write_json(folder / 'tables/people.json', settings() | people_report.to_json(study))
+  write_json(
+    folder / 'tables/people.json', settings(models='category') | people_report.to_json(study)
+  )
   write_figure(folder / 'figures/people_azimuth.png')
 
 
