@@ -100,6 +100,7 @@ def draw_legend(size: int) -> np.ndarray:
   bar = figures.to_uint8(figures.weight_color_code(weights))
   return figures.grid_of_images(
     [[pictures.draw_flow_code(size), bar]],
+    gap=16,
     column_titles=[
       'flow: the place in the\ninput that has the colour',
       'weight: the regressed colour\ncounts (blue), the sampled (yellow)',
