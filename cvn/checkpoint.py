@@ -28,14 +28,11 @@ FORMAT = 1
 KEEP = 2
 # What runs did that were begun before there was a setting.
 _BEFORE = {
-  **{
-    'dtype': 'float32',
-    'heads': 'dense',
-    'shape_loss': None,
-    'surface_distance': None,
-    'source': [],
-  },
-  **{'schedule': None, 'mirror': None, 'permute': None, 'fresh_statistics': 0},
+  'dtype': 'float32',
+  'heads': 'dense',
+  'source': [],
+  'fresh_statistics': 0,
+  **dict.fromkeys(('shape_loss', 'surface_distance', 'sample', 'schedule', 'mirror', 'permute')),
 }
 
 

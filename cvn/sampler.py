@@ -64,11 +64,36 @@ def nearest_foreground(image: jax.Array, flow: jax.Array, foreground: jax.Array)
     [B, ..., C].
   """
   _check(image, flow)
+  return nearest(fill(image, foreground), flow)
+
+
+def bilinear_foreground(image: jax.Array, flow: jax.Array) -> jax.Array:
+  """Bilinear samples of the image with its background filled: training as at test time.
+
+  Blending weights learned with it are of the sampled colours that will be blended; those learned
+  with `bilinear` have seen the ground where a flow misses the object.
+
+  Args:
+    image: [B, H, W, 3] on a plain ground, see `foreground_from_color`.
+    flow: [B, ..., 2].
+
+  Returns:
+    [B, ..., 3].
+  """
+  _check(image, flow)
+  return bilinear(fill(image, foreground_from_color(image)), flow)
+
+
+def fill(image: jax.Array, foreground: jax.Array) -> jax.Array:
+  """Every background pixel takes the colour of the foreground pixel that is closest to it.
+
+  Args:
+    image: [B, H, W, C].
+    foreground: [B, H, W] bool.
+  """
   if foreground.shape != image.shape[:3]:
     raise ValueError(f'foreground {foreground.shape} does not fit images {image.shape}')
-  row, column = jax.vmap(_nearest_true)(foreground)
-  filled = jax.vmap(lambda im, r, c: im[r, c])(image, row, column)
-  return nearest(filled, flow)
+  return _gather(image, *jax.vmap(_nearest_true)(foreground))
 
 
 def foreground_from_color(image: jax.Array) -> jax.Array:

@@ -32,6 +32,7 @@ from cvn import (
   grid,
   journal,
   losses,
+  sampler,
   train,
 )
 from cvn import recipe as recipes
@@ -54,6 +55,11 @@ SURFACE_DISTANCES = {
 }
 DTYPES = ('float32', 'mixed')
 HEADS = ('dense', 'surface')
+SAMPLERS = {
+  'bilinear': sampler.bilinear,
+  'nearest': sampler.nearest,
+  'foreground': sampler.bilinear_foreground,
+}
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -100,6 +106,14 @@ def define_flags(f: flags.FlagValues) -> None:
     None,
     [*recipes.SCHEDULES],
     "Of the learning rate, instead of the recipe's: cosine ends at 0 with the last epoch.",
+    **own,
+  )
+  flags.DEFINE_enum(
+    'sample',
+    None,
+    [*SAMPLERS],
+    'How colours are sampled in training, instead of as the recipe does; foreground: the ground is'
+    ' filled with the nearest pixels of the object, as at test time.',
     **own,
   )
   flags.DEFINE_bool(
@@ -239,6 +253,7 @@ def make_recipe(f: flags.FlagValues) -> Recipe:
   choices = {
     'shape_loss': SHAPE_LOSSES,
     'surface_distance': SURFACE_DISTANCES,
+    'sample': SAMPLERS,
     'schedule': recipes.SCHEDULES,
   }
   names = (*choices, 'learning_rate', 'mirror', 'permute')
@@ -288,7 +303,7 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
 def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: int) -> dict:
   """All that a resumed run must share with the one it continues."""
   names = (
-    *('network', 'recipe', 'shape_loss', 'surface_distance', 'dtype', 'heads'),
+    *('network', 'recipe', 'shape_loss', 'surface_distance', 'sample', 'dtype', 'heads'),
     *('category', 'source'),
     *('batch_size', 'learning_rate', 'schedule', 'mirror', 'permute'),
     *('fresh_statistics', 'seed'),

@@ -142,3 +142,19 @@ def test_shapes_that_do_not_fit_are_named():
     sampler.nearest_foreground(
       jnp.zeros((1, 4, 4, 3)), jnp.zeros((1, 5, 2)), jnp.ones((4, 4), bool)
     )
+
+
+def test_training_on_the_filled_image_is_nearest_foreground_at_pixel_centres():
+  rng = np.random.default_rng(0)
+  image = np.full((2, 8, 8, 3), 0.9, np.float32)
+  image[:, 2:5, 3:7] = rng.random((2, 3, 4, 3)) * 0.5
+  foreground = np.zeros((2, 8, 8), bool)
+  foreground[:, 2:5, 3:7] = True
+  centres = (np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1) + 0.5) / 8
+  flow = np.broadcast_to(centres, (2, 8, 8, 2)).astype(np.float32)
+  found = sampler.bilinear_foreground(image, flow)
+  np.testing.assert_allclose(found, sampler.nearest_foreground(image, flow, foreground), atol=1e-6)
+  np.testing.assert_allclose(found, sampler.fill(image, foreground), atol=1e-6)
+  np.testing.assert_array_equal(sampler.fill(image, foreground)[foreground], image[foreground])
+  slope = jax.grad(lambda f: sampler.bilinear_foreground(image, f)[..., 0].sum())(flow + 0.01)
+  assert np.isfinite(slope).all() and np.abs(slope[:, 3, 3:6]).min() > 0
