@@ -26,7 +26,7 @@ from cvn import blending, checkpoint, data, environment, errors, reconstruct
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from datagen import release
-from experiments.evaluate import load
+from experiments import scoring
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -63,7 +63,9 @@ def run(f: flags.FlagValues) -> None:
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
   steps = {kind: checkpoint.latest_step(workdir) for kind, workdir in workdirs.items()}
-  networks = {kind: load(workdir, kind, dataset) for kind, workdir in workdirs.items()}
+  networks = {
+    kind: scoring.load(workdir, (kind,), dataset).variables for kind, workdir in workdirs.items()
+  }
   for kind, workdir in workdirs.items():
     # Their programs score whatever they find: other networks' or splits' files must not mix in.
     source = {'data': dataset.root, 'split': f.split}
