@@ -83,10 +83,13 @@ class Subject:
     self.wait(lambda: self.find('#progress').text == f'{number} of {PAIRS}')
 
   def look(self):
-    """The picture, and the methods left and right."""
+    """The picture, and the methods left and right.
+
+    Read off the small views: the large one follows them a frame later.
+    """
     colors = [
       self.browser.execute_script(
-        "const c = document.querySelector(arguments[0] + ' .turntable');"
+        "const c = document.querySelector(arguments[0] + ' .sides canvas');"
         "return [...c.getContext('2d').getImageData(c.width / 2, c.height / 2, 1, 1).data]",
         side,
       )[:3]
