@@ -73,6 +73,6 @@ RELEASE = PAPER._replace(
   kernel_penalty=1e-5,
   schedule=staircase,
 )
-BEST = PAPER._replace(name='best', schedule=cosine, mirror=True)
+BEST = PAPER._replace(name='best', sample=sampler.bilinear_foreground)
 RECIPES = {r.name: r for r in (PAPER, RELEASE, BEST)}
 SCHEDULES = {s.__name__: s for s in (constant, staircase, cosine)}

@@ -42,15 +42,7 @@ TRAININGS: dict[str, dict[str, str]] = {
   'unified': {'network': 'joint'},
   'msfcel_release': {'network': 'shape', 'recipe': 'release'},
   'blended_release': {'network': 'color', 'recipe': 'release'},
-  'msfcel_mirror': {'network': 'shape', 'mirror': 'true'},
-  'blended_mirror': {'network': 'color', 'mirror': 'true'},
-  'msfcel_iou': {'network': 'shape', 'shape_loss': 'msfcel_and_iou'},
-  'blended_squared': {'network': 'color', 'surface_distance': 'squared'},
   'blended_foreground': {'network': 'color', 'sample': 'foreground'},
-  'msfcel_permute': {'network': 'shape', 'recipe': 'best', 'permute': 'true'},
-  'blended_permute': {'network': 'color', 'recipe': 'best', 'permute': 'true'},
-  'msfcel_best': {'network': 'shape', 'recipe': 'best'},
-  'blended_best': {'network': 'color', 'recipe': 'best'},
 }
 
 
@@ -79,9 +71,12 @@ METHODS = {
   # What goes beyond the paper, one thing after the other.
   'plus_threshold': Method('+ threshold chosen on val', 'msfcel', 'blended', threshold='val'),
   'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', None, 'val'),
-  'plus_mirror': Method('+ mirrored samples', 'msfcel_mirror', 'blended_mirror', None, 'val'),
-  'plus_cosine': Method('+ cosine schedule', 'msfcel_best', 'blended_best', None, 'val'),
-  'best': Method('+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', True),
+  'plus_foreground': Method(
+    '+ sampled in training as at test time', 'msfcel', 'blended_foreground', None, 'val'
+  ),
+  'best': Method(
+    '+ mean with the mirrored view', 'msfcel', 'blended_foreground', None, 'val', True
+  ),
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 from cvn import blending, losses, sampler, train
 from cvn.data import Batch
 from cvn.grid import PADDING_INDEX
-from cvn.recipe import BEST, PAPER, RECIPES, RELEASE, norm_decay
+from cvn.recipe import PAPER, RECIPES, RELEASE, cosine, norm_decay
 
 SLOTS = 256
 
@@ -178,7 +178,7 @@ def test_schedules():
   np.testing.assert_allclose(norm_decay(samples, 60), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
   np.testing.assert_allclose(norm_decay(samples, 12) ** 5, norm_decay(samples, 60), rtol=1e-5)
   np.testing.assert_allclose(PAPER.learning_rate * PAPER.schedule(samples, 1e9), 3e-4)
-  quarters = BEST.schedule(jnp.array([0.0, 25, 50, 100]), 100)
+  quarters = cosine(jnp.array([0.0, 25, 50, 100]), 100)
   np.testing.assert_allclose(quarters, [1, 0.5 + 0.5**0.5 / 2, 0.5, 0], atol=1e-6)
-  np.testing.assert_allclose(BEST.schedule(samples, np.inf), 1)  # no end is known
+  np.testing.assert_allclose(cosine(samples, np.inf), 1)  # no end is known
   assert sorted(RECIPES) == ['best', 'paper', 'release']

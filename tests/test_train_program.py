@@ -334,9 +334,9 @@ def test_flags_change_the_recipe():
 
 
 def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
-  run(made, tmp_path / 'run', '--recipe=best', epochs=1)
+  run(made, tmp_path / 'run', '--schedule=cosine', epochs=1)
   with pytest.raises(UserError, match='was begun with epochs=1, not 2'):
-    run(made, tmp_path / 'run', '--recipe=best', epochs=2)
+    run(made, tmp_path / 'run', '--schedule=cosine', epochs=2)
 
 
 @pytest.mark.parametrize('dtype', program.DTYPES)
