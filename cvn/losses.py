@@ -49,29 +49,6 @@ def cross_entropy(logits: jax.Array, occupancy: jax.Array) -> jax.Array:
   return jnp.mean(jax.nn.softplus(jnp.where(occupancy.astype(bool), -logits, logits)))
 
 
-def soft_iou(logits: jax.Array, occupancy: jax.Array) -> jax.Array:
-  """1 - IoU of the probabilities, the mean over the batch: sum(p v) / sum(p + v - p v).
-
-  What shapes are measured by, with p in the place of a threshold's 0 and 1. A sample without
-  occupied voxels is left at 1.
-
-  Args:
-    logits: [B, ...] log odds of being occupied.
-    occupancy: [B, ...] bool, or 0 and 1.
-  """
-  _check_same(logits, occupancy)
-  probability, axes = jax.nn.sigmoid(logits), tuple(range(1, logits.ndim))
-  true = occupancy.astype(probability.dtype)
-  intersection = jnp.sum(probability * true, axes)
-  union = jnp.sum(probability + true, axes) - intersection
-  return jnp.mean(1 - intersection / union)
-
-
-def msfcel_and_iou(logits: jax.Array, occupancy: jax.Array) -> jax.Array:
-  """MSFCEL + 1 - soft IoU; arguments as of `soft_iou`."""
-  return msfcel(logits, occupancy) + soft_iou(logits, occupancy)
-
-
 def surface_squared(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax.Array:
   """Mean squared Euclidean distance over surface voxels, which is what PSNR is the logarithm of.
 

@@ -43,11 +43,7 @@ from cvn.recipe import RECIPES, Recipe
 from experiments.training_pictures import draw_views
 
 PICTURES = 4  # views drawn at each validation
-SHAPE_LOSSES = {
-  'msfcel': losses.msfcel,
-  'cross_entropy': losses.cross_entropy,
-  'msfcel_and_iou': losses.msfcel_and_iou,
-}
+SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
 SURFACE_DISTANCES = {
   'l2': losses.surface_l2,
   'l1': losses.surface_l1,

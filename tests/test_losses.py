@@ -145,25 +145,6 @@ def test_shapes_that_do_not_fit_are_named():
     losses.joint_l2(jnp.zeros((2, 3)), jnp.zeros((2, 1)))
 
 
-def test_soft_iou_of_certain_probabilities_is_the_iou():
-  occupied = np.zeros((2, 4), bool)
-  occupied[0, :2] = occupied[1, 1:] = True
-  sure = np.where([[True, True, True, False], [True, False, False, False]], 50.0, -50.0)
-  # The first has 2 of 3 voxels right, the second none of 4.
-  np.testing.assert_allclose(losses.soft_iou(sure, occupied), (1 / 3 + 1) / 2, rtol=1e-6)
-  half = losses.soft_iou(jnp.zeros((1, 4)), np.array([[True, False, False, False]]))
-  np.testing.assert_allclose(half, 1 - 0.5 / (2 + 1 - 0.5), rtol=1e-6)
-  logits = _random((2, 4))
-  check_grads(lambda x: losses.soft_iou(x, occupied), (logits,), 1, rtol=1e-2, atol=1e-3)
-  both = losses.msfcel(logits, occupied) + losses.soft_iou(logits, occupied)
-  np.testing.assert_allclose(losses.msfcel_and_iou(logits, occupied), both, rtol=1e-6)
-
-
-def test_soft_iou_of_an_empty_sample_is_finite():
-  value, grad = jax.value_and_grad(losses.soft_iou)(jnp.zeros((1, 5)), np.zeros((1, 5), bool))
-  assert value == 1 and not grad.any()
-
-
 def test_squared_distance_is_that_of_the_surface():
   prediction, target = _random((3, 5, 3)), _random((3, 5, 3), 1)
   mask = _random((3, 5), 2) > 0
