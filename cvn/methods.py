@@ -11,9 +11,12 @@ import numpy as np
 from cvn import blending, metrics, reconstruct
 from cvn.grid import GRID_SIZE
 
-# From which score on a voxel is occupied, unless a threshold was chosen on a validation split; for
-# the joint volume half way between empty, -0.5, and black, 0.
-THRESHOLDS = {'shape': metrics.OCCUPIED, 'joint': metrics.OCCUPIED, 'r2n2': -0.25}
+# From which score on a voxel is occupied, unless a threshold was chosen on a validation split.
+THRESHOLDS = {
+  'shape': metrics.OCCUPIED,
+  'joint': metrics.OCCUPIED,
+  'r2n2': metrics.JOINT_OCCUPIED,
+}
 SHAPE_KINDS = (*THRESHOLDS,)
 COLOR_KINDS = ('color', 'regression', 'flow', 'joint', 'r2n2')
 

@@ -13,6 +13,9 @@ from cvn.grid import ColoredVoxels
 
 OCCUPIED = 0.8  # the probability from which on a voxel is occupied, in the authors' program
 
+# The joint baseline's: half way from empty, -0.5, to black, 0.
+JOINT_OCCUPIED = -0.25
+
 # Full-range YCbCr of JPEG; its offset of 128 cancels in differences.
 _YCBCR = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
 

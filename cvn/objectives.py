@@ -12,7 +12,6 @@ from cvn import blending, losses, metrics
 from cvn.networks import ColorVolumes
 
 EMPTY = -0.5  # every channel of an empty voxel of the joint volume (section 4, competing methods)
-_EMPTIER = -0.25  # half way from there to black: takes a joint volume's shape during training
 
 
 def shape(logits, batch, recipe, train):
@@ -78,7 +77,7 @@ def r2n2(volume, batch, recipe, train):
   loss = losses.joint_l2(volume, target)
   if train:
     return loss, {}
-  occupied = jnp.all(volume > _EMPTIER, axis=-1)
+  occupied = jnp.all(volume > metrics.JOINT_OCCUPIED, axis=-1)
   found = metrics.iou(occupied, _occupancy(batch.index, volume.shape[1:4]))
   return loss, {'iou': jnp.mean(found)}
 

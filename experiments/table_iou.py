@@ -54,15 +54,8 @@ def run(f: flags.FlagValues) -> None:
     found[threshold] = rows | {'mean_shape': Row('Mean training shape', trivial, {})}
   table = {'metric': METRIC, **tables.describe(f)}
   for threshold, rows in found.items():
-    comparisons = [
-      tables.compare(rows['msfcel'], rows[m], FORM)
-      for m in rows
-      if 'msfcel' in rows and m != 'msfcel'
-    ]
-    table[threshold] = {'rows': tables.to_json([*rows.values()]), 'comparisons': comparisons}
-    print(f'\nMean IoU, {THRESHOLDS[threshold]} (Adapted R2N2: always chosen on val)\n')
-    print(tables.to_markdown([*rows.values()], FORM))
-    print('\n' + '\n'.join(comparisons))
+    heading = f'Mean IoU, {THRESHOLDS[threshold]} (Adapted R2N2: always chosen on val)'
+    table[threshold] = tables.tell(heading, rows, 'msfcel', FORM)
   path = tables.path_of(f, 'iou')
   tables.write(path, table)
   print(f'\n{path}')

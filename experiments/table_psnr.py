@@ -77,13 +77,7 @@ def run(f: flags.FlagValues) -> None:
     if OURS in rows:
       trivial = tables.collect(f, OURS, metric, who='baselines')
       rows['mean_color'] = Row('Mean training colour, same shapes', trivial, {})
-    comparisons = [
-      tables.compare(rows[OURS], rows[m], FORM) for m in rows if OURS in rows and m != OURS
-    ]
-    table[metric] = {'rows': tables.to_json([*rows.values()]), 'comparisons': comparisons}
-    print(f'\nMean surface {METRICS[metric]}, dB\n')
-    print(tables.to_markdown([*rows.values()], FORM))
-    print('\n' + '\n'.join(comparisons))
+    table[metric] = tables.tell(f'Mean surface {METRICS[metric]}, dB', rows, OURS, FORM)
   path = tables.path_of(f, 'psnr')
   tables.write(path, table)
   print(f'\n{path}')

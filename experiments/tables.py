@@ -131,6 +131,23 @@ def compare(better: Row, other: Row, form: str) -> str:
   )
 
 
+def tell(heading: str, rows: Mapping[str, Row], ours: str, form: str) -> dict[str, Any]:
+  """Prints a table and how much our method is better than each other; the same as JSON values.
+
+  Args:
+    heading: above the table.
+    rows: by name.
+    ours: the name of our method; without it among the rows nothing is compared.
+    form: of numbers, such as '.3f'.
+  """
+  others = [name for name in rows if ours in rows and name != ours]
+  comparisons = [compare(rows[ours], rows[name], form) for name in others]
+  print(f'\n{heading}\n')
+  print(to_markdown([*rows.values()], form))
+  print('\n' + '\n'.join(comparisons))
+  return {'rows': to_json([*rows.values()]), 'comparisons': comparisons}
+
+
 def write(path: str, table: Mapping[str, Any]) -> None:
   """Writes a table's JSON file."""
   with atomic_write(path) as temporary, open(temporary, 'w') as out:
