@@ -1,11 +1,18 @@
 """From the data set on disk to batches: a Grain pipeline with sparse targets.
 
-An element is one view of one model. Images are [H, W, 3] float32 sRGB in [0, 1], composited on a
-plain background. Surfaces are lists of S voxels, where S is one number for the whole data set
-(`surface_slots`), so that a compiled step meets one shape: index [S, 3] int32, PADDING_INDEX in all
-three places past the model's own voxels; color [S, 3] float32 sRGB in [0, 1]; flow [S, 2] float32
-(u, v) in [0, 1]. Batching adds an axis in front. Reading an element touches one view's chunks, not
-the twelve.
+An element is one view of one model. Surfaces are lists of S voxels, where S is one number for the
+whole data set (`surface_slots`), so that a compiled step meets one shape. Batching adds an axis in
+front. Reading an element touches one view's chunks, not the twelve.
+
+Elements are read, turned and batched in the bytes that are on disk; `decode` makes of a batch what
+a network is trained on, in the compiled step. So the host has a quarter of the bytes to move, and
+threads that read take less of the processors that compute.
+
+  as stored                                      decoded
+  image  [H, W, 4] u8, sRGB and straight alpha   [H, W, 3] float32 sRGB in [0, 1], on plain grey
+  index  [S, 3] u8, PADDING_INDEX past the end   int32, PADDING_INDEX past the end
+  color  [S, 3] u8 sRGB                          float32 in [0, 1], 0 where padded
+  flow   [S, 2] u16 (u, v)                       float32 in [0, 1], 0 where padded
 
 Randomness is a function of (seed, epoch, element) alone: which view an element shows, and where in
 the epoch's order it stands. So the state of an iterator is one number, the index of the next batch,
@@ -30,19 +37,19 @@ SLOT_MULTIPLE = 256  # S is a multiple of it: data sets of about one size share 
 
 
 class Batch(NamedTuple):
-  """What the colour network is trained on."""
+  """What the colour network is trained on, as stored or decoded."""
 
-  image: Any  # [B, H, W, 3] float32
-  index: Any  # [B, S, 3] int32
-  color: Any  # [B, S, 3] float32, 0 where padded
-  flow: Any  # [B, S, 2] float32, 0 where padded
+  image: Any  # [B, H, W, 4 or 3]
+  index: Any  # [B, S, 3]
+  color: Any  # [B, S, 3]
+  flow: Any  # [B, S, 2]
 
 
 class ShapeBatch(NamedTuple):
   """What the shape network is trained on: colours and flows are not even read."""
 
-  image: Any  # [B, H, W, 3] float32
-  index: Any  # [B, S, 3] int32
+  image: Any  # [B, H, W, 4 or 3]
+  index: Any  # [B, S, 3]
 
 
 def select_rows(
@@ -87,44 +94,58 @@ def surface_slots(dataset: Dataset) -> int:
   return min(-(-most // SLOT_MULTIPLE) * SLOT_MULTIPLE, dataset.manifest.capacity)
 
 
-def composite(rgba: np.ndarray, background: float = GREY) -> np.ndarray:
+def composite(rgba: Any, background: float = GREY) -> Any:
   """[..., 4] u8 sRGB and straight alpha over grey -> [..., 3] float32 in [0, 1]."""
   rgba = rgba.astype(np.float32) / 255
   alpha = rgba[..., 3:]
   return rgba[..., :3] * alpha + np.float32(background) * (1 - alpha)
 
 
-def read_shape(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
-  """One element of a `ShapeBatch`: its arrays without the batch axis.
+def decode(batch: Any, background: float = GREY) -> Any:
+  """A `Batch` or `ShapeBatch`, or an element of one, as a network is trained on it.
 
-  Raises:
-    UserError: the model's files are damaged.
+  Args:
+    batch: as stored, of NumPy or JAX; what is decoded already comes back as it is.
+    background: grey level in [0, 1] behind the object.
   """
-  a = dataset.arrays
-  rgba, index = _read(dataset, row, a['views'][row, view], a['surface_index'][row, :slots])
-  return ShapeBatch(composite(rgba, background), index.astype(np.int32))
-
-
-def read_color(dataset: Dataset, row: int, view: int, *, slots: int, background: float = GREY):
-  """One element of a `Batch`: its arrays without the batch axis.
-
-  Raises:
-    UserError: the model's files are damaged.
-  """
-  a = dataset.arrays
-  rgba, index, color, flow = _read(
-    dataset,
-    row,
-    a['views'][row, view],
-    a['surface_index'][row, :slots],
-    a['surface_color'][row, :slots],
-    a['flow'][row, view, :slots],
+  if batch.image.dtype != np.uint8:
+    return batch
+  batch = batch._replace(
+    image=composite(batch.image, background), index=batch.index.astype(np.int32)
   )
+  if isinstance(batch, ShapeBatch):
+    return batch
+  return batch._replace(
+    color=batch.color.astype(np.float32) / 255, flow=dataset_lib.decode_flow(batch.flow)
+  )
+
+
+def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBatch:
+  """One element of a `ShapeBatch`, as stored: its arrays without the batch axis.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  a = dataset.arrays
+  return ShapeBatch(*_read(dataset, row, a['views'][row, view], a['surface_index'][row, :slots]))
+
+
+def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
+  """One element of a `Batch`, as stored: its arrays without the batch axis.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  a = dataset.arrays
   return Batch(
-    composite(rgba, background),
-    index.astype(np.int32),
-    color.astype(np.float32) / 255,
-    dataset_lib.decode_flow(flow),
+    *_read(
+      dataset,
+      row,
+      a['views'][row, view],
+      a['surface_index'][row, :slots],
+      a['surface_color'][row, :slots],
+      a['flow'][row, view, :slots],
+    )
   )
 
 
@@ -135,7 +156,6 @@ def training_batches(
   *,
   batch_size: int,
   seed: int,
-  background: float = GREY,
   mirror: bool = False,
   permute: bool = False,
   shard: tuple[int, int] = (0, 1),
@@ -151,7 +171,6 @@ def training_batches(
     rows: [N] models to train on.
     batch_size: elements of a batch of this process.
     seed: of order and views, 0 to 2^32 - 1.
-    background: grey level in [0, 1] behind the object.
     mirror: whether a random half of the elements is mirrored, see `mirrored`.
     permute: whether the colour channels of each element change places, see `permuted`.
     shard: (process, processes): each process sees its own part of every epoch.
@@ -169,7 +188,7 @@ def training_batches(
     )
   views = len(dataset.manifest.azimuths)
 
-  read_one = _reader(read, dataset, background)
+  read_one = _reader(read, dataset)
 
   def choose(row, rng: np.random.Generator):
     view = rng.integers(views)
@@ -194,12 +213,12 @@ def training_batches(
 
 
 def mirrored(element: Any, grid_size: int) -> Any:
-  """A `Batch`'s or `ShapeBatch`'s element of the object's mirror image in x.
+  """An element of the object's mirror image in x.
 
   Turned over from left to right, the view from azimuth a is the mirrored object's view from -a.
 
   Args:
-    element: without the batch axis.
+    element: of a `Batch` or `ShapeBatch`, as stored, without the batch axis.
     grid_size: of the data set.
   """
   index = element.index.copy()
@@ -209,7 +228,7 @@ def mirrored(element: Any, grid_size: int) -> Any:
   if isinstance(element, ShapeBatch):
     return element
   flow = element.flow.copy()
-  flow[real, 0] = 1 - flow[real, 0]
+  flow[real, 0] = dataset_lib.encode_flow(1) - flow[real, 0]
   return element._replace(flow=flow)
 
 
@@ -220,10 +239,10 @@ def permuted(element: Any, order: Sequence[int]) -> Any:
   is grey and stays it.
 
   Args:
-    element: of a `Batch` or `ShapeBatch`, without the batch axis.
+    element: of a `Batch` or `ShapeBatch`, as stored, without the batch axis.
     order: a permutation of (0, 1, 2).
   """
-  element = element._replace(image=element.image[..., order])
+  element = element._replace(image=element.image[..., [*order, 3]])
   if isinstance(element, ShapeBatch):
     return element
   return element._replace(color=element.color[..., order])
@@ -243,12 +262,11 @@ def evaluation_batches(
   pairs: np.ndarray,
   *,
   batch_size: int,
-  background: float = GREY,
 ) -> grain.MapDataset:
   """Batches of the pairs [P, 2] in their order; the last one holds what is left over."""
   return (
     grain.MapDataset.source([(int(row), int(view)) for row, view in pairs])
-    .map(_reader(read, dataset, background))
+    .map(_reader(read, dataset))
     .batch(batch_size)
   )
 
@@ -263,8 +281,8 @@ def iterate(batches: grain.MapDataset, num_epochs: int | None = None) -> grain.D
   return iter(batches.repeat(num_epochs).to_iter_dataset(options))
 
 
-def _reader(read, dataset, background):
-  one = functools.partial(read, dataset, slots=surface_slots(dataset), background=background)
+def _reader(read, dataset):
+  one = functools.partial(read, dataset, slots=surface_slots(dataset))
   return lambda pair: one(*pair)
 
 

@@ -109,7 +109,7 @@ def encode_flow(flow):
 
 def decode_flow(flow):
   """The inverse of `encode_flow`, as float32."""
-  return np.asarray(flow, np.float32) / 65535
+  return flow.astype(np.float32) / 65535
 
 
 def create(root: str, manifest: Manifest) -> Dataset:

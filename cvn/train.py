@@ -1,8 +1,8 @@
 """Training: the state, and one compiled step for each network.
 
 `kind` is a key of `networks.NETWORKS`; cvn.objectives says what each is trained for. A batch is a
-`data.ShapeBatch` for shapes, else a `data.Batch`. All that a step needs comes in, all that it
-changes goes out.
+`data.ShapeBatch` for shapes, else a `data.Batch`, as stored or decoded. All that a step needs comes
+in, all that it changes goes out.
 """
 
 import math
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from cvn import layers, networks, objectives, surface
+from cvn import data, layers, networks, objectives, surface
 from cvn.networks import Trunk
 from cvn.recipe import Recipe, norm_decay
 
@@ -122,14 +122,15 @@ def make_statistics(
   network = NETWORKS[kind].clone(mixed=mixed)
 
   @jax.jit
-  def statistics(params, batch_stats, image):
+  def statistics(params, batch_stats, batch):
     variables = {'params': params, 'batch_stats': batch_stats}
+    image = data.decode(batch).image
     return network.apply(variables, image, train=True, mutable='batch_stats')[1]['batch_stats']
 
   def renew(state, batches):
     total, count = None, 0
     for batch in batches:
-      found = statistics(state.params, state.batch_stats, batch.image)
+      found = statistics(state.params, state.batch_stats, batch)
       total, count = found if total is None else jax.tree.map(jnp.add, total, found), count + 1
     return state._replace(batch_stats=jax.tree.map(lambda x: x / count, total))
 
@@ -150,6 +151,7 @@ def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str
 
 def _objective(params, batch_stats, batch, network, kind, recipe, train):
   """(loss, (metrics, batch statistics))."""
+  batch = data.decode(batch)
   output, mutated = network.apply(
     {'params': params, 'batch_stats': batch_stats}, batch.image, train=train, mutable='batch_stats'
   )
@@ -161,6 +163,7 @@ def _objective(params, batch_stats, batch, network, kind, recipe, train):
 
 def _surface_objective(params, batch_stats, batch, trunk, recipe):
   """(loss, (metrics, batch statistics)) of the colour network in training."""
+  batch = data.decode(batch)
   features, mutated = trunk.apply(
     {'params': params['trunk'], 'batch_stats': batch_stats['trunk']},
     batch.image,

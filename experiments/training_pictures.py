@@ -9,7 +9,7 @@ from cvn.dataset import Dataset
 def draw_views(kind: str, state, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
   """Views, what the network makes of them, and the truth, as one uint8 image [H, W, 3]."""
   slots = data.surface_slots(dataset)
-  truth = [data.read_color(dataset, *p, slots=slots) for p in pairs]
+  truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
   images = np.stack([t.image for t in truth])
   variables = {'params': state.params, 'batch_stats': state.batch_stats}
   occupied = predicted = [None] * len(truth)

@@ -3,6 +3,7 @@
 import itertools
 import os
 
+import jax
 import numpy as np
 import pytest
 import synthetic
@@ -47,7 +48,7 @@ def known_images(made):
   """bytes -> (row, view) of all images of the data set."""
   counts = dataset.surface_counts(made)
   return {
-    data.composite(dataset.read_record(made, row).views[view]).tobytes(): (row, view)
+    dataset.read_record(made, row).views[view].tobytes(): (row, view)
     for row in range(len(counts))
     if counts[row]
     for view in range(VIEWS)
@@ -98,14 +99,29 @@ def test_composite():
 
 
 def test_default_background_is_the_authors_grey(made):
-  element = data.read_shape(made, 0, 0, slots=data.surface_slots(made))
+  element = data.decode(data.read_shape(made, 0, 0, slots=data.surface_slots(made)))
   np.testing.assert_allclose(element.image[0, 0] * 255, [245] * 3, rtol=1e-6)
+
+
+def test_decoding_in_a_compiled_program_is_decoding_on_the_host(made):
+  for read in (data.read_color, data.read_shape):
+    stored = batches(made, read)[0]
+    here, there = data.decode(stored, 0.25), jax.jit(lambda b: data.decode(b, 0.25))(stored)
+    assert type(here) is type(there) is type(stored)
+    for a, b in zip(here, there, strict=True):
+      assert a.dtype == b.dtype
+      np.testing.assert_allclose(a, b, rtol=1e-6)
+
+
+def test_what_is_decoded_stays_as_it_is(made):
+  decoded = data.decode(batches(made)[0])
+  assert data.decode(decoded) is decoded
 
 
 def test_element_is_the_record(made):
   record, slots = dataset.read_record(made, 5), data.surface_slots(made)
   count = len(record.surface_index)
-  got = data.read_color(made, 5, 2, slots=slots)
+  got = data.decode(data.read_color(made, 5, 2, slots=slots))
   np.testing.assert_array_equal(got.image, data.composite(record.views[2]))
   np.testing.assert_array_equal(got.index[:count], record.surface_index)
   assert (got.index[count:] == grid.PADDING_INDEX).all()
@@ -120,17 +136,18 @@ def test_a_mirrored_element_is_the_mirrored_objects_view(made):
   element = data.read_color(made, 0, 1, slots=slots)
   found = data.mirrored(element, size)
   real = element.index[:, 0] != grid.PADDING_INDEX
-  expected = [size - 1, 0, 0] + element.index[real] * [-1, 1, 1]
+  expected = [size - 1, 0, 0] + element.index[real].astype(int) * [-1, 1, 1]
   np.testing.assert_array_equal(found.index[real], expected)
   assert (found.index[~real] == grid.PADDING_INDEX).all() and not found.flow[~real].any()
   np.testing.assert_array_equal(found.image[:, ::-1], element.image)
   np.testing.assert_array_equal(found.color, element.color)
   view = camera.camera_at(-made.manifest.azimuths[1], image_size=made.manifest.image_size)
   pixel, _ = camera.project(grid.index_to_world(found.index[real], size=size), view)
-  np.testing.assert_allclose(found.flow[real], pixel / made.manifest.image_size, atol=1e-4)
+  flow = data.decode(found).flow
+  np.testing.assert_allclose(flow[real], pixel / made.manifest.image_size, atol=1e-4)
   twice = data.mirrored(found, size)
   np.testing.assert_array_equal(twice.index, element.index)
-  np.testing.assert_allclose(twice.flow, element.flow, atol=1e-6)
+  np.testing.assert_array_equal(twice.flow, element.flow)
   shape = data.mirrored(data.read_shape(made, 0, 1, slots=slots), size)
   np.testing.assert_array_equal(shape.index, found.index)
 
@@ -141,12 +158,13 @@ def test_channels_change_places_in_picture_and_surface_alike(made):
   np.testing.assert_array_equal(found.image[..., 0], element.image[..., 2])
   np.testing.assert_array_equal(found.color[..., 1], element.color[..., 0])
   np.testing.assert_array_equal(found.flow, element.flow)
-  assert found.image[0, 0].tolist() == element.image[0, 0].tolist() == [np.float32(data.GREY)] * 3
+  np.testing.assert_array_equal(found.image[..., 3], element.image[..., 3])
+  assert data.decode(found).image[0, 0].tolist() == [np.float32(data.GREY)] * 3
   plain, both = batches(made), batches(made, permute=True)
   seen = set()
   for n in range(60):
     for a, b in zip(plain[n].image, both[n].image, strict=True):
-      orders = [o for o in itertools.permutations(range(3)) if np.array_equal(a[..., o], b)]
+      orders = [o for o in itertools.permutations(range(3)) if np.array_equal(a[..., [*o, 3]], b)]
       seen.update(orders if len(orders) == 1 else [])
   assert len(seen) == 6
 
@@ -172,6 +190,12 @@ def test_batch_shapes_and_types(made):
   s = data.surface_slots(made)
   batch = batches(made)[0]
   assert [(x.shape, x.dtype.name) for x in batch] == [
+    ((2, 16, 16, 4), 'uint8'),
+    ((2, s, 3), 'uint8'),
+    ((2, s, 3), 'uint8'),
+    ((2, s, 2), 'uint16'),
+  ]
+  assert [(x.shape, x.dtype.name) for x in data.decode(batch)] == [
     ((2, 16, 16, 3), 'float32'),
     ((2, s, 3), 'int32'),
     ((2, s, 3), 'float32'),

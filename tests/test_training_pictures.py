@@ -13,7 +13,7 @@ def test_pictures_of_a_perfect_network_show_the_truth(tmp_path, monkeypatch, kin
   dataset = synthetic.make_dataset(tmp_path, 5)
   pairs = data.evaluation_pairs([0, 4], 2)[1:3]
   slots = data.surface_slots(dataset)
-  truth = [data.read_color(dataset, *p, slots=slots) for p in pairs]
+  truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
   truth = [grid.to_voxels(t.index, t.color) for t in truth]
   colors = np.stack([t.color for t in truth])
   monkeypatch.setattr(program.methods, 'colors', lambda *_: colors)
