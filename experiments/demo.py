@@ -54,8 +54,8 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_string('output', 'demo', 'The folder for all that is made.', **own)
   flags.DEFINE_string('category', 'chair', 'What the objects are.', **own)
   flags.DEFINE_integer('limit', 200, 'Objects to make.', lower_bound=10, **own)
-  flags.DEFINE_integer('shape_epochs', 6, 'Of the shape network.', lower_bound=1, **own)
-  flags.DEFINE_integer('color_epochs', 6, 'Of the colour network.', lower_bound=1, **own)
+  flags.DEFINE_integer('shape_epochs', 32, 'Of the shape network.', lower_bound=1, **own)
+  flags.DEFINE_integer('color_epochs', 32, 'Of the colour network.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 12, 'Views a training step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', 1e-3, "Higher than the paper's: time is short.", 0, **own)
   flags.DEFINE_integer('pictures', 6, 'Held-out pictures to reconstruct.', 1, 8, **own)
@@ -92,6 +92,7 @@ def run(f: flags.FlagValues) -> int:
       'experiments.train',
       network=network,
       recipe='best',
+      dtype='mixed',
       fresh_statistics=FRESH_STATISTICS,
       data=folder['data'],
       workdir=folder[network],
