@@ -32,7 +32,7 @@ _BEFORE = {
   'heads': 'dense',
   'source': [],
   'fresh_statistics': 0,
-  **dict.fromkeys(('shape_loss', 'surface_distance', 'sample', 'schedule', 'mirror', 'permute')),
+  **dict.fromkeys(('shape_loss', 'surface_distance', 'sample', 'schedule', 'mirror', 'recolor')),
 }
 
 

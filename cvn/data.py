@@ -157,7 +157,7 @@ def training_batches(
   batch_size: int,
   seed: int,
   mirror: bool = False,
-  permute: bool = False,
+  recolor: bool = False,
   shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
@@ -172,7 +172,7 @@ def training_batches(
     batch_size: elements of a batch of this process.
     seed: of order and views, 0 to 2^32 - 1.
     mirror: whether a random half of the elements is mirrored, see `mirrored`.
-    permute: whether the colour channels of each element change places, see `permuted`.
+    recolor: whether every element is painted in other colours, see `recolored`.
     shard: (process, processes): each process sees its own part of every epoch.
 
   Raises:
@@ -192,14 +192,14 @@ def training_batches(
 
   def choose(row, rng: np.random.Generator):
     view = rng.integers(views)
-    return row, view, mirror and rng.integers(2), rng.permutation(3) if permute else None
+    return row, view, mirror and rng.integers(2), draw_paint(rng) if recolor else None
 
   def read_chosen(chosen):
-    row, view, flipped, order = chosen
+    row, view, flipped, paint = chosen
     element = read_one((row, view))
     if flipped:
       element = mirrored(element, dataset.manifest.grid_size)
-    return element if order is None else permuted(element, order)
+    return element if paint is None else recolored(element, *paint)
 
   return (
     grain.MapDataset.source([int(r) for r in rows])
@@ -232,20 +232,42 @@ def mirrored(element: Any, grid_size: int) -> Any:
   return element._replace(flow=flow)
 
 
-def permuted(element: Any, order: Sequence[int]) -> Any:
-  """An element whose colour channels stand in another order, in the picture and on the surface.
+def draw_paint(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+  """Other colours, at random: (order, ends) for `recolored`.
+
+  Red, green and blue change places. For one element in two each of them also runs between other
+  ends, at least 0.5 apart, rising or falling, so that all that could be told apart still can.
+  """
+  order = rng.permutation(3)
+  if rng.integers(2):
+    return order, np.array([[0.0, 1.0]] * 3)
+  low = rng.uniform(0, 0.5, 3)
+  ends = np.stack([low, rng.uniform(low + 0.5, 1)], 1)
+  return order, np.where(rng.integers(2, size=(3, 1)), ends, ends[:, ::-1])
+
+
+def recolored(element: Any, order: Sequence[int], ends: np.ndarray) -> Any:
+  """An element in other colours, the same in the picture and on the surface.
 
   Views show albedo without light, so this is the object's view had it been painted so; the ground
   is grey and stays it.
 
   Args:
     element: of a `Batch` or `ShapeBatch`, as stored, without the batch axis.
-    order: a permutation of (0, 1, 2).
+    order: a permutation of (0, 1, 2): channel c becomes what channel order[c] was.
+    ends: [3, 2] in [0, 1], what 0 and 1 of each channel then become.
   """
-  element = element._replace(image=element.image[..., [*order, 3]])
+  table = np.round(255 * np.linspace(*np.transpose(ends), 256)).astype(np.uint8)  # [256, 3]
+
+  def paint(colors):
+    return table[colors[..., order], np.arange(3)]
+
+  image = np.concatenate([paint(element.image[..., :3]), element.image[..., 3:]], -1)
+  element = element._replace(image=image)
   if isinstance(element, ShapeBatch):
     return element
-  return element._replace(color=element.color[..., order])
+  real = element.index[:, :1] != grid.PADDING_INDEX
+  return element._replace(color=np.where(real, paint(element.color), 0))
 
 
 def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:

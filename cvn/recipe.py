@@ -25,7 +25,7 @@ class Recipe(NamedTuple):
   learning_rate: float  # the first one
   schedule: Callable[[jax.Array, float], jax.Array]  # (samples seen, of all) -> its factor
   mirror: bool  # whether half of the samples are mirrored, picture and object
-  permute: bool  # whether red, green and blue change places at random, in picture and object
+  recolor: bool  # whether samples are painted in other colours, picture and object
 
 
 def constant(samples: jax.Array, total: float) -> jax.Array:
@@ -64,7 +64,7 @@ PAPER = Recipe(
   learning_rate=3e-4,
   schedule=constant,
   mirror=False,
-  permute=False,
+  recolor=False,
 )
 RELEASE = PAPER._replace(
   name='release',
@@ -73,6 +73,8 @@ RELEASE = PAPER._replace(
   kernel_penalty=1e-5,
   schedule=staircase,
 )
-BEST = PAPER._replace(name='best', sample=sampler.bilinear_foreground)
+BEST = PAPER._replace(
+  name='best', sample=sampler.bilinear_foreground, schedule=cosine, mirror=True, recolor=True
+)
 RECIPES = {r.name: r for r in (PAPER, RELEASE, BEST)}
 SCHEDULES = {s.__name__: s for s in (constant, staircase, cosine)}

@@ -15,7 +15,7 @@ from cvn import environment, errors
 from experiments import protocol, tables
 from experiments.tables import Row
 
-STEPS = ('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_foreground', 'best')
+STEPS = ('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_color', 'plus_shape', 'best')
 METRICS = {'iou': ('IoU', '.3f'), 'psnr_rgb': ('PSNR RGB', '.2f')}
 SPLITS = ('val', 'test')
 

@@ -42,7 +42,8 @@ TRAININGS: dict[str, dict[str, str]] = {
   'unified': {'network': 'joint'},
   'msfcel_release': {'network': 'shape', 'recipe': 'release'},
   'blended_release': {'network': 'color', 'recipe': 'release'},
-  'blended_foreground': {'network': 'color', 'sample': 'foreground'},
+  'msfcel_best': {'network': 'shape', 'recipe': 'best'},
+  'blended_best': {'network': 'color', 'recipe': 'best'},
 }
 
 
@@ -71,12 +72,9 @@ METHODS = {
   # What goes beyond the paper, one thing after the other.
   'plus_threshold': Method('+ threshold chosen on val', 'msfcel', 'blended', threshold='val'),
   'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', None, 'val'),
-  'plus_foreground': Method(
-    '+ sampled in training as at test time', 'msfcel', 'blended_foreground', None, 'val'
-  ),
-  'best': Method(
-    '+ mean with the mirrored view', 'msfcel', 'blended_foreground', None, 'val', True
-  ),
+  'plus_color': Method('+ colours by the recipe best', 'msfcel', 'blended_best', None, 'val'),
+  'plus_shape': Method('+ shapes by the recipe best', 'msfcel_best', 'blended_best', None, 'val'),
+  'best': Method('+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', True),
 }
 
 

@@ -119,10 +119,10 @@ def define_flags(f: flags.FlagValues) -> None:
     **own,
   )
   flags.DEFINE_bool(
-    'permute',
+    'recolor',
     None,
-    'Whether red, green and blue change places at random, in views and on surfaces, instead of as'
-    ' the recipe says.',
+    'Whether objects are painted in other colours at random, in views and on surfaces, instead of'
+    ' as the recipe says.',
     **own,
   )
   flags.DEFINE_integer(
@@ -162,7 +162,7 @@ def run(f: flags.FlagValues) -> int:
     batch_size=f.batch_size,
     seed=f.seed,
     mirror=recipe.mirror,
-    permute=recipe.permute,
+    recolor=recipe.recolor,
   )
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
@@ -252,7 +252,7 @@ def make_recipe(f: flags.FlagValues) -> Recipe:
     'sample': SAMPLERS,
     'schedule': recipes.SCHEDULES,
   }
-  names = (*choices, 'learning_rate', 'mirror', 'permute')
+  names = (*choices, 'learning_rate', 'mirror', 'recolor')
   asked = {name: f[name].value for name in names if f[name].value is not None}
   chosen = {name: choices[name][x] if name in choices else x for name, x in asked.items()}
   return RECIPES[f.recipe]._replace(**chosen)
@@ -301,7 +301,7 @@ def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: i
   names = (
     *('network', 'recipe', 'shape_loss', 'surface_distance', 'sample', 'dtype', 'heads'),
     *('category', 'source'),
-    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'permute'),
+    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'recolor'),
     *('fresh_statistics', 'seed'),
   )
   config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}

@@ -152,21 +152,45 @@ def test_a_mirrored_element_is_the_mirrored_objects_view(made):
   np.testing.assert_array_equal(shape.index, found.index)
 
 
-def test_channels_change_places_in_picture_and_surface_alike(made):
+def test_picture_and_surface_are_painted_alike(made):
   element = data.read_color(made, 0, 1, slots=data.surface_slots(made))
-  found = data.permuted(element, [2, 0, 1])
-  np.testing.assert_array_equal(found.image[..., 0], element.image[..., 2])
-  np.testing.assert_array_equal(found.color[..., 1], element.color[..., 0])
-  np.testing.assert_array_equal(found.flow, element.flow)
+  ends = np.array([[0, 1], [1, 0], [0.25, 0.75]])
+  found = data.recolored(element, [2, 0, 1], ends)
+  was, now = (e.image[..., :3].astype(float) for e in (element, found))
+  np.testing.assert_array_equal(now[..., 0], was[..., 2])
+  np.testing.assert_array_equal(now[..., 1], 255 - was[..., 0])
+  np.testing.assert_allclose(now[..., 2], 0.25 * 255 + 0.5 * was[..., 1], atol=0.51)
   np.testing.assert_array_equal(found.image[..., 3], element.image[..., 3])
   assert data.decode(found).image[0, 0].tolist() == [np.float32(data.GREY)] * 3
-  plain, both = batches(made), batches(made, permute=True)
-  seen = set()
-  for n in range(60):
-    for a, b in zip(plain[n].image, both[n].image, strict=True):
-      orders = [o for o in itertools.permutations(range(3)) if np.array_equal(a[..., [*o, 3]], b)]
-      seen.update(orders if len(orders) == 1 else [])
-  assert len(seen) == 6
+  real = element.index[:, 0] != grid.PADDING_INDEX
+  np.testing.assert_array_equal(found.color[real, 1], 255 - element.color[real, 0])
+  assert not found.color[~real].any() and found.color.dtype == np.uint8
+  for same in ('index', 'flow'):
+    np.testing.assert_array_equal(getattr(found, same), getattr(element, same))
+  shape = data.recolored(data.ShapeBatch(element.image, element.index), [2, 0, 1], ends)
+  np.testing.assert_array_equal(shape.image, found.image)
+
+
+def test_paints_keep_contrast():
+  rng = np.random.default_rng(0)
+  paints = [data.draw_paint(rng) for _ in range(200)]
+  assert {tuple(order) for order, _ in paints} == set(itertools.permutations(range(3)))
+  ends = np.stack([e for _, e in paints])
+  spans = ends[..., 1] - ends[..., 0]
+  assert ends.min() >= 0 and ends.max() <= 1 and abs(spans).min() >= 0.5 and spans.min() < 0
+  natural = (ends == [0, 1]).all((1, 2))
+  assert 0.4 < natural.mean() < 0.6
+
+
+def test_elements_are_painted_at_random_and_the_same_each_time(made):
+  plain, painted, again = (batches(made, recolor=r) for r in (False, True, True))
+  changed = [
+    not np.array_equal(a, b)
+    for n in range(20)
+    for a, b in zip(plain[n].image, painted[n].image, strict=True)
+  ]
+  assert np.mean(changed) > 0.5
+  np.testing.assert_array_equal(painted[7].image, again[7].image)
 
 
 def test_half_of_the_elements_are_mirrored(made):

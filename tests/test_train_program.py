@@ -37,6 +37,7 @@ def create_state(key, kind):
 
 def loss_of(params, batch):
   """Depends on which models and views are in the batch."""
+  batch = data.decode(batch)
   pixel = batch.image.mean((1, 2))
   count = (batch.index[..., 0] != grid.PADDING_INDEX).sum(1)
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
@@ -51,7 +52,7 @@ def make_step(kind, recipe, *, samples, mixed=False):
     loss, gradient = jax.value_and_grad(loss_of)(state.params, batch)
     update, opt_state = optimizer.update(gradient, state.opt_state)
     params = optax.apply_updates(state.params, update)
-    mean = 0.9 * state.batch_stats['mean'] + 0.1 * batch.image.mean((0, 1, 2))
+    mean = 0.9 * state.batch_stats['mean'] + 0.1 * data.decode(batch).image.mean((0, 1, 2))
     return TrainState(params, {'mean': mean}, opt_state, state.step + 1), {'loss': loss}
 
   return step
@@ -302,7 +303,7 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
     del kind, mixed
 
     def renew(state, batches):
-      images = np.concatenate([b.image for b in batches])
+      images = np.concatenate([data.decode(b).image for b in batches])
       renewed.append(len(images))
       return state._replace(batch_stats={'mean': images.mean((0, 1, 2))})
 
@@ -316,7 +317,7 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
     data.read_shape, dataset, data.select_rows(dataset, 'train'), batch_size=2, seed=0
   )
   _, variables = checkpoint.load_network(str(tmp_path / 'run'), 'shape')
-  expected = np.concatenate([batches[n].image for n in range(3)]).mean((0, 1, 2))
+  expected = np.concatenate([data.decode(batches[n]).image for n in range(3)]).mean((0, 1, 2))
   np.testing.assert_allclose(variables['batch_stats']['mean'], expected, rtol=1e-5)
 
 
