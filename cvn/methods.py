@@ -5,10 +5,12 @@ results are numpy arrays.
 """
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
-from cvn import blending, metrics, reconstruct
+from cvn import blending, carving, metrics, reconstruct
+from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 
 # From which score on a voxel is occupied, unless a threshold was chosen on a validation split.
@@ -22,7 +24,13 @@ COLOR_KINDS = ('color', 'regression', 'flow', 'joint', 'r2n2')
 
 
 def score(
-  kind: str, variables, views: np.ndarray, *, flip: bool = False, grid_size: int = GRID_SIZE
+  kind: str,
+  variables,
+  views: np.ndarray,
+  *,
+  flip: bool = False,
+  carve: Sequence[float] = (),
+  grid_size: int = GRID_SIZE,
 ) -> np.ndarray:
   """How occupied voxels are [V, X, Y, Z]: occupied is what lies above a threshold.
 
@@ -34,8 +42,18 @@ def score(
     variables: of the network.
     views: [V, H, W, 4 or 3].
     flip: whether to take the mean with what it says of the mirrored views, mirrored back.
+    carve: azimuths in degrees that the views may have been taken from: shapes are then carved by
+      the silhouettes, see cvn.carving; or none.
     grid_size: of the network.
+
+  Raises:
+    UserError: the joint baseline, which has no probabilities, is to be carved.
   """
+  if carve:
+    if kind == 'r2n2':
+      raise UserError('the adapted R2N2 says no probabilities, which carving needs')
+    found = score(kind, variables, views, flip=flip, grid_size=grid_size)
+    return np.asarray(carving.carve(found, reconstruct.foreground_of(views), tuple(carve)))
   if flip:
     return _with_mirrored(functools.partial(score, kind, variables, grid_size=grid_size), views)
   if kind == 'shape':

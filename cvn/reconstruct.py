@@ -177,6 +177,15 @@ def to_voxels(reconstruction: Reconstruction, threshold: float = OCCUPIED) -> Co
   )
 
 
+def foreground_of(views: Any) -> jax.Array:
+  """Where the object is, [B, H, W] bool, in views [B, H, W, 4 or 3]."""
+  if views.ndim != 4 or views.shape[-1] not in (3, 4):
+    raise ValueError(f'views must be [B, H, W, 4] or [B, H, W, 3]: {views.shape}')
+  if views.shape[-1] == 3:
+    return sampler.foreground_from_color(views)
+  return jnp.asarray(views[..., 3] >= 0.5)
+
+
 def _blend(volumes, color, foreground, alpha):
   """The colours of `ColorVolumes`."""
   sampled = sampler.nearest_foreground(color, volumes.flow, foreground)
@@ -187,12 +196,10 @@ def _blend(volumes, color, foreground, alpha):
 
 def _prepare(views, background):
   """The networks' image, the colours to sample and where they may be sampled."""
-  if views.ndim != 4 or views.shape[-1] not in (3, 4):
-    raise ValueError(f'views must be [B, H, W, 4] or [B, H, W, 3]: {views.shape}')
+  foreground = foreground_of(views)
   if views.shape[-1] == 3:
-    return views, views, sampler.foreground_from_color(views)
+    return views, views, foreground
   color, opacity = views[..., :3], views[..., 3:]
   image = color * opacity + background * (1 - opacity)
-  foreground = opacity >= 0.5
   # An edge pixel's own colour, not its mixture with the ground.
-  return image, jnp.where(foreground, color, image), foreground[..., 0]
+  return image, jnp.where(foreground[..., None], color, image), foreground

@@ -15,7 +15,10 @@ from cvn import environment, errors
 from experiments import protocol, tables
 from experiments.tables import Row
 
-STEPS = ('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_color', 'plus_shape', 'best')
+STEPS = (
+  *('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_color', 'plus_shape', 'plus_flip'),
+  'best',
+)
 METRICS = {'iou': ('IoU', '.3f'), 'psnr_rgb': ('PSNR RGB', '.2f')}
 SPLITS = ('val', 'test')
 

@@ -2,7 +2,7 @@ r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
   [--category=NAME,...] [--source=NAME,...] [--alpha=0.2] [--threshold=NUMBER|val] [--flip]
-  [--baselines] [--json=FILE]
+  [--carve] [--baselines] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
@@ -60,6 +60,12 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_bool(
     'flip', False, 'Take means with what the networks say of the mirrored views.', **own
   )
+  flags.DEFINE_bool(
+    'carve',
+    False,
+    "Carve shapes by the views' silhouettes; the azimuth is told from the estimated shape.",
+    **own,
+  )
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines, too.', **own)
   flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
@@ -96,10 +102,12 @@ def run(f: flags.FlagValues) -> int:
         alpha=f.alpha,
         threshold=threshold,
         flip=f.flip,
+        carve=f.carve,
       )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
-    report = {name: f[name].value for name in ('data', 'split', 'shape', 'color', 'alpha', 'flip')}
+    told = ('data', 'split', 'shape', 'color', 'alpha', 'flip', 'carve')
+    report = {name: f[name].value for name in told}
     report |= {'threshold': threshold} | summarize(dataset, rows, found)
     print_report(report)
     if temporary:
@@ -132,7 +140,7 @@ def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split val: give a --threshold')
   progress = tqdm(rows, desc='threshold on val', unit='model', disable=None)
-  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip)
+  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip, carve=f.carve)
 
 
 def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:

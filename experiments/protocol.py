@@ -19,7 +19,7 @@ import numpy as np
 from absl import flags
 
 from cvn import blending, checkpoint, methods
-from cvn.dataset import open_dataset
+from cvn.dataset import Manifest, open_dataset
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from experiments import scoring
@@ -56,6 +56,7 @@ class Method(NamedTuple):
   alpha: float | None = blending.ALPHA  # None: chosen on the split val
   threshold: str = 'paper'  # or 'val', where the paper's program has none
   flip: bool = False  # whether means with the mirrored view are taken
+  carve: bool = False  # whether shapes are carved by the view's silhouette
 
 
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -74,7 +75,12 @@ METHODS = {
   'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', None, 'val'),
   'plus_color': Method('+ colours by the recipe best', 'msfcel', 'blended_best', None, 'val'),
   'plus_shape': Method('+ shapes by the recipe best', 'msfcel_best', 'blended_best', None, 'val'),
-  'best': Method('+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', True),
+  'plus_flip': Method(
+    '+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', flip=True
+  ),
+  'best': Method(
+    '+ carved by the silhouette', 'msfcel_best', 'blended_best', None, 'val', flip=True, carve=True
+  ),
 }
 
 
@@ -206,10 +212,11 @@ def evaluate(
     'source': ','.join(f.source),
     'alpha': alpha or own.alpha,
     'flip': str(own.flip).lower(),
+    'carve': str(own.carve).lower(),
     **({'threshold': 'val'} if chosen else {}),
     **workdirs,
   }
-  if not _is_newer(report, workdirs.values()):
+  if not _is_newer(report, workdirs.values()) or not _is_of(read_json(report), own):
     run_program(f.workdir, 'experiments.evaluate', baselines='true', json=report, **asked)
   return read_json(report)
 
@@ -248,17 +255,23 @@ def make_predictor(
 
   Arguments as of `load`.
   """
-  shape, color, threshold, alpha = load(f, method, category, seed)
-  flip = METHODS[method].flip
-  size = open_dataset(f.data).manifest.grid_size
+  networks = load(f, method, category, seed)
+  manifest = open_dataset(f.data).manifest
+  return lambda views: predict(method, networks, views, manifest)
 
-  def predict(views):
-    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
-    options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
-    colors = methods.colors(color.kind, color.variables, views, **options)
-    return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 
-  return predict
+def predict(
+  method: str, networks: Networks, views: np.ndarray, manifest: Manifest
+) -> list[ColoredVoxels]:
+  """What a method makes of views [V, H, W, 4] in [0, 1] of a data set."""
+  own = METHODS[method]
+  shape, color, threshold, alpha = networks
+  size, azimuths = manifest.grid_size, manifest.azimuths if own.carve else ()
+  options = {'flip': own.flip, 'carve': azimuths, 'grid_size': size}
+  scores = methods.score(shape.kind, shape.variables, views, **options)
+  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip, 'grid_size': size}
+  colors = methods.colors(color.kind, color.variables, views, **options)
+  return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 
 
 def trained_for(f: flags.FlagValues, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:
@@ -273,6 +286,12 @@ def _epochs_done(workdir):
     return 0
   config = checkpoint.read_config(workdir)
   return step / (config['models'] // config['batch_size'])
+
+
+def _is_of(report, method):
+  """Whether a report was made with the method's options at test time."""
+  found = report.get('flip', False), report.get('carve', False)
+  return found == (method.flip, method.carve)
 
 
 def _is_newer(report, workdirs):

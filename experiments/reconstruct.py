@@ -1,7 +1,7 @@
 r"""Pictures -> coloured voxel meshes: a GLB, a PLY and a panel PNG for each.
 
 python -m experiments.reconstruct --image=FILE[,FILE...] --shape=WORKDIR --color=WORKDIR \
-  --output=DIR
+  --output=DIR [--alpha=0.2] [--threshold=0.8] [--flip] [--carve]
 
 A picture that fails is named on stderr and the others are still done; the exit status is then 1.
 """
@@ -19,11 +19,13 @@ from tqdm import tqdm
 
 from cvn import (
   blending,
+  camera,
   checkpoint,
   environment,
   errors,
   export,
   figures,
+  methods,
   metrics,
   photo,
   reconstruct,
@@ -53,6 +55,16 @@ def define_flags(f: flags.FlagValues) -> None:
     'In (0, 1): the probability from which on a voxel is occupied.',
     **own,
   )
+  flags.DEFINE_bool(
+    'flip', False, 'Take means with what the networks say of the mirrored picture.', **own
+  )
+  flags.DEFINE_bool(
+    'carve',
+    False,
+    "Carve the shape by the picture's silhouette, seen from the azimuth of the data set's views"
+    ' that fits it best: for pictures framed as these are. A lower --threshold suits it.',
+    **own,
+  )
   flags.mark_flags_as_required(['image', 'shape', 'color', 'output'], f)
   flags.register_validator('alpha', lambda x: 0 < x <= 1, 'must be in (0, 1]', f)
   flags.register_validator('threshold', lambda x: 0 < x < 1, 'must be in (0, 1)', f)
@@ -78,9 +90,8 @@ def run(f: flags.FlagValues) -> int:
   for path in tqdm(paths, unit='picture', disable=None):
     start = time.perf_counter()
     try:
-      count = reconstruct_file(
-        path, stems[path], shape, color, alpha=f.alpha, threshold=f.threshold
-      )
+      options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve')}
+      count = reconstruct_file(path, stems[path], shape, color, **options)
     except UserError as e:
       failures += 1
       tqdm.write(f'error: {path}: {str(e).removeprefix(path).lstrip(": ")}', sys.stderr)
@@ -113,11 +124,27 @@ def output_names(paths: Sequence[str]) -> dict[str, str]:
   return names
 
 
-def reconstruct_file(path: str, stem: str, shape, color, *, alpha: float, threshold: float) -> int:
+def reconstruct_file(
+  path: str,
+  stem: str,
+  shape,
+  color,
+  *,
+  alpha: float,
+  threshold: float,
+  flip: bool = False,
+  carve: bool = False,
+) -> int:
   """One picture -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
   view = photo.load_view(path)
   views = view[None].astype(np.float32) / 255
   batch = reconstruct.reconstruct(shape, color, views, alpha=alpha)
+  if flip or carve:
+    azimuths = camera.AZIMUTHS if carve else ()
+    batch = batch._replace(
+      probability=methods.score('shape', shape, views, flip=flip, carve=azimuths),
+      blended=methods.colors('color', color, views, alpha=alpha, flip=flip),
+    )
   one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
   voxels = reconstruct.to_voxels(one, threshold)
   count = int(np.sum(voxels.occupancy))

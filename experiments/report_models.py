@@ -4,7 +4,7 @@ import functools
 import gzip
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,20 +88,6 @@ def choose(workdir: Workdir, data: Data, *, per_category: int, seed: int) -> lis
   return chosen
 
 
-def reconstruct(
-  view: np.ndarray, method: str, score: Score, networks: Mapping[str, scoring.Network], size: int
-) -> ColoredVoxels:
-  """What a method makes of a view [H, W, 4] u8."""
-  flip = protocol.METHODS[method].flip
-  batch = view[None].astype(np.float32) / 255
-  shape, color = networks['shape'], networks['color']
-  options = {'flip': flip, 'grid_size': size}
-  scores = methods.score(shape.kind, shape.variables, batch, **options)
-  options |= {'alpha': score.alpha, 'threshold': score.threshold}
-  colors = methods.colors(color.kind, color.variables, batch, **options)
-  return ColoredVoxels(scores[0] >= score.threshold, colors[0])
-
-
 def to_glb(voxels: ColoredVoxels) -> bytes:
   """A GLB file, compressed by gzip; the same voxels give the same bytes."""
   with tempfile.TemporaryDirectory() as folder:
@@ -120,11 +106,14 @@ def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndar
   true = scoring.to_voxels(record, manifest.grid_size)
   shown: list[tuple[str, str, ColoredVoxels]] = []
   for method, score in chosen.scores.items():
-    networks = {
-      'shape': load(score.shape, methods.SHAPE_KINDS),
-      'color': load(score.color, methods.COLOR_KINDS),
-    }
-    found = reconstruct(view, method, score, networks, manifest.grid_size)
+    networks = protocol.Networks(
+      load(score.shape, methods.SHAPE_KINDS),
+      load(score.color, methods.COLOR_KINDS),
+      score.threshold,
+      score.alpha,
+    )
+    batch = view[None].astype(np.float32) / 255
+    (found,) = protocol.predict(method, networks, batch, manifest)
     iou = float(metrics.iou(found.occupancy, true.occupancy))
     shown.append((SHOWN[method], f'threshold {score.threshold:.2f}, IoU {iou:.2f}', found))
   shown.append(('truth', '', true))

@@ -64,7 +64,12 @@ def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
 
 
 def threshold_curve(
-  dataset: Dataset, rows: Iterable[int], shape: Network, *, flip: bool = False
+  dataset: Dataset,
+  rows: Iterable[int],
+  shape: Network,
+  *,
+  flip: bool = False,
+  carve: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
   """The mean IoU over all views of the rows' models for many thresholds.
 
@@ -73,27 +78,34 @@ def threshold_curve(
     rows: of at least one model.
     shape: the network that scores voxels.
     flip: whether to take means with the mirrored views, see cvn.methods.
+    carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
     (thresholds [T], mean IoU [T]).
   """
   candidates = CHANNELS if shape.kind == 'r2n2' else PROBABILITIES
   size = dataset.manifest.grid_size
+  options = {'flip': flip, 'carve': dataset.manifest.azimuths if carve else (), 'grid_size': size}
   curves = []
   for row in rows:
     record = read_record(dataset, row)
     true = to_voxels(record, size).occupancy
     views = record.views.astype(np.float32) / 255
-    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
+    scores = methods.score(shape.kind, shape.variables, views, **options)
     curves += [metrics.iou_at(s, true, candidates) for s in scores]
   return candidates, np.mean(curves, axis=0)
 
 
 def choose_threshold(
-  dataset: Dataset, rows: Iterable[int], shape: Network, *, flip: bool = False
+  dataset: Dataset,
+  rows: Iterable[int],
+  shape: Network,
+  *,
+  flip: bool = False,
+  carve: bool = False,
 ) -> float:
   """The threshold of the best mean IoU; arguments as of `threshold_curve`."""
-  candidates, curve = threshold_curve(dataset, rows, shape, flip=flip)
+  candidates, curve = threshold_curve(dataset, rows, shape, flip=flip, carve=carve)
   return float(candidates[np.argmax(curve)])
 
 
@@ -107,6 +119,7 @@ def score_model(
   alpha: float,
   threshold: float,
   flip: bool = False,
+  carve: bool = False,
 ) -> dict[str, dict[str, list[float]]]:
   """The metrics of all views of a model.
 
@@ -119,6 +132,7 @@ def score_model(
     alpha: of the blend.
     threshold: of the shape network's score.
     flip: whether to take means with the mirrored views, see cvn.methods.
+    carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
     {'networks': {metric: [V]}, 'baselines': likewise}.
@@ -129,7 +143,9 @@ def score_model(
   views = record.views.astype(np.float32) / 255
   scores = colors = None
   if shape:
-    scores = methods.score(shape.kind, shape.variables, views, flip=flip, grid_size=size)
+    azimuths = dataset.manifest.azimuths if carve else ()
+    options = {'flip': flip, 'carve': azimuths, 'grid_size': size}
+    scores = methods.score(shape.kind, shape.variables, views, **options)
   if color:
     options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
     colors = methods.colors(color.kind, color.variables, views, **options)

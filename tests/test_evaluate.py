@@ -273,6 +273,12 @@ def test_the_mirrored_view_may_count_too(tmp_path, given):
   assert flipped['networks']['total']['psnr_rgb'] != plain['networks']['total']['psnr_rgb']
 
 
+def test_shapes_may_be_carved_by_the_silhouettes(tmp_path, given):
+  plain = _evaluate(tmp_path, **given)['networks']['total']
+  report = _evaluate(tmp_path, '--carve', **given)
+  assert report['carve'] and report['networks']['total']['iou'] != plain['iou']
+
+
 def test_models_of_one_source(tmp_path, given):
   with pytest.raises(UserError, match="no source 'shapenet'; it has synthetic"):
     _run('--source=shapenet', **given)

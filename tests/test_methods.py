@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from cvn import blending, methods, networks, reconstruct
+from cvn import blending, carving, methods, networks, reconstruct
+from cvn.errors import UserError
 
 IMAGE, GRID = 64, 32
 
@@ -67,6 +68,18 @@ def test_flipped_estimates_are_those_of_the_mirrored_object_mirrored(kind, views
   symmetric = np.concatenate([views[:, :, : IMAGE // 2], views[:, :, : IMAGE // 2][:, :, ::-1]], 2)
   found = methods.score(kind, variables, symmetric, flip=True, grid_size=GRID)
   np.testing.assert_allclose(found, found[:, ::-1], atol=1e-6)
+
+
+def test_carved_scores_are_those_of_carving(views):
+  variables = make_variables('joint')
+  options = {'flip': True, 'grid_size': GRID}
+  plain = methods.score('joint', variables, views, **options)
+  found = methods.score('joint', variables, views, carve=[0, 90], **options)
+  expected = carving.carve(plain, views[..., 3] > 0.5, (0, 90))
+  np.testing.assert_allclose(found, expected, atol=1e-6)
+  assert (found < plain).any()
+  with pytest.raises(UserError, match='no probabilities'):
+    methods.score('r2n2', None, views, carve=[0], grid_size=GRID)
 
 
 def test_flipped_colors(views):

@@ -37,7 +37,9 @@ def commands(monkeypatch):
       os.makedirs(os.path.dirname(named['json']), exist_ok=True)
       with open(named['json'], 'w') as out:
         total = {'psnr_rgb': 10 - abs(named['alpha'] - 0.6)}
-        json.dump({'threshold': 0.3, 'alpha': named['alpha'], 'networks': {'total': total}}, out)
+        options = {k: named[k] == 'true' for k in ('flip', 'carve')}
+        report = {'threshold': 0.3, 'alpha': named['alpha'], 'networks': {'total': total}}
+        json.dump(report | options, out)
 
   monkeypatch.setattr(protocol, 'run_program', run_program)
   return ran
@@ -82,6 +84,11 @@ def test_what_is_there_is_reused_and_more_epochs_go_on(tmp_path, commands):
   count = len(commands)
   protocol.evaluate(parse(*arguments), 'blended_0.4', protocol.ALL, '0')
   assert [p for p, _ in commands[count:]] == ['experiments.evaluate']
+  # A report of other options at test time is none of this method.
+  path = tmp_path / 'scores' / 'blended_0.4_all_0_test.json'
+  path.write_text(json.dumps(json.loads(path.read_text()) | {'carve': True}))
+  protocol.evaluate(parse(*arguments), 'blended_0.4', protocol.ALL, '0')
+  assert [p for p, _ in commands[count:]] == ['experiments.evaluate'] * 2
 
 
 def test_the_joint_baseline_always_has_its_threshold_chosen(tmp_path, commands):
@@ -104,7 +111,7 @@ def test_alpha_is_chosen_on_val_where_a_method_leaves_it_open(tmp_path, commands
     *(('val', a) for a in protocol.ALPHAS),
     ('test', 0.6),
   ]
-  assert {(a['threshold'], a['flip']) for a in asked} == {('val', 'true')}
+  assert {(a['threshold'], a['flip'], a['carve']) for a in asked} == {('val', 'true', 'true')}
   protocol.evaluate(f, 'best', 'car', '0')
   assert len(commands) == 2 + 6
 

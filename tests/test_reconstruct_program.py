@@ -13,7 +13,7 @@ import trimesh
 from absl import flags
 from PIL import Image
 
-from cvn import checkpoint
+from cvn import camera, checkpoint, methods, photo
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import reconstruct as program
@@ -86,6 +86,27 @@ def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
     assert len(ply.faces) == len(glb.faces) > 0
     with Image.open(output / f'{name}.png') as panel:
       assert panel.width > panel.height
+
+
+def test_mirrored_and_carved(tmp_path, workdirs, monkeypatch):
+  picture = str(tmp_path / 'a.png')
+  image = np.full((160, 160, 3), 245, np.uint8)
+  image[30:130, 50:80], image[40:130, 80:110] = (200, 30, 40), (30, 150, 220)
+  Image.fromarray(image).save(picture)
+  made = []
+  monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels: made.append(voxels))
+  given = {'image': picture, 'output': tmp_path / 'out', 'threshold': 0.5, **workdirs}
+  assert _run('--flip', '--carve', **given) == 0
+  views = photo.load_view(picture)[None] / np.float32(255)
+  _, shape = checkpoint.load_network(workdirs['shape'], 'shape')
+  _, color = checkpoint.load_network(workdirs['color'], 'color')
+  score = methods.score('shape', shape, views, flip=True, carve=camera.AZIMUTHS)
+  np.testing.assert_array_equal(made[0].occupancy, score[0] >= 0.5)
+  expected = methods.colors('color', color, views, flip=True)[0]
+  np.testing.assert_allclose(made[0].color, expected, atol=1e-6)
+  assert _run(**given) == 0
+  assert made[1].occupancy.sum() > made[0].occupancy.sum()
+  assert np.abs(made[1].color - made[0].color).max() > 1e-6
 
 
 def test_nothing_occupied_says_what_the_highest_probability_is(tmp_path, workdirs, capsys):

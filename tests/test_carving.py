@@ -1,0 +1,88 @@
+"""A silhouette carves a shape, from the azimuth that the shape itself tells."""
+
+import numpy as np
+import pytest
+
+from cvn import camera, carving, grid, metrics
+
+SIZE, IMAGE = 32, 64
+AZIMUTHS = (0, 45, 90, 135, 180, 225, 270, 315)
+
+
+def make_object():
+  """A shape that looks different from everywhere: a slab, on it a post and a block."""
+  shape = np.zeros((SIZE,) * 3, bool)
+  shape[6:26, 8:11, 10:22] = True
+  shape[6:10, 11:27, 10:14] = True
+  shape[18:24, 11:18, 18:22] = True
+  return shape
+
+
+def draw(shape, azimuth, image=IMAGE):
+  """The silhouette [H, W] of voxels, from points all through them."""
+  mask = np.zeros((image, image), bool)
+  corners = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 5)] * 3, indexing='ij'), -1)
+  points = grid.index_to_world(np.argwhere(shape)[:, None] + corners.reshape(-1, 3), size=SIZE)
+  pixel, _ = camera.project(points, camera.camera_at(azimuth, image_size=image))
+  column, row = np.floor(pixel.reshape(-1, 2)).astype(int).T
+  mask[row, column] = True
+  return mask
+
+
+@pytest.fixture(scope='module')
+def masks():
+  return np.stack([draw(make_object(), a) for a in AZIMUTHS])
+
+
+def test_the_azimuth_is_told_from_the_shape(masks):
+  shape = np.broadcast_to(make_object().astype(np.float32), (len(AZIMUTHS), *(SIZE,) * 3))
+  weights = np.asarray(carving.azimuth_weights(shape, masks, AZIMUTHS))
+  np.testing.assert_allclose(weights.sum(1), 1, atol=1e-5)
+  np.testing.assert_array_equal(weights.argmax(1), np.arange(len(AZIMUTHS)))
+  assert weights.max(1).min() > 0.7
+
+
+def test_what_lies_outside_the_silhouette_goes_and_all_else_stays(masks):
+  true = make_object()
+  estimate = true.astype(np.float32)
+  estimate[8:12, 8:30, 28:31] = 0.9  # a wall that is not there
+  found = np.asarray(carving.carve(np.stack([estimate] * len(masks)), masks, AZIMUTHS))
+  assert found.min() >= 0 and (found <= estimate + 1e-6).all()
+  assert found[:, true].mean(1).min() > 0.98
+  before = metrics.iou(estimate >= 0.8, true)
+  after = metrics.iou(found >= 0.8, np.broadcast_to(true, found.shape))
+  # From the front and the back the wall lies behind or before the post, and stays.
+  assert (after >= before).all() and (after > before + 0.05).sum() >= 6
+  at = camera.camera_at(90, image_size=IMAGE)
+  pixel, _ = camera.project(grid.index_to_world(np.argwhere(estimate == 0.9), size=SIZE), at)
+  column, row = np.floor(pixel).astype(int).T
+  inside = masks[2][row, column]
+  np.testing.assert_allclose(found[2][estimate == 0.9], 0.9 * inside, atol=0.01)
+
+
+def test_a_view_that_is_all_foreground_changes_nothing():
+  probability = np.random.default_rng(0).random((2, SIZE, SIZE, SIZE), np.float32)
+  found = carving.carve(probability, np.ones((2, IMAGE, IMAGE), bool), AZIMUTHS)
+  np.testing.assert_allclose(found, probability, atol=1e-6)
+
+
+def test_a_shape_nobody_is_sure_of_counts_every_azimuth_alike(masks):
+  faint = 0.5 * make_object().astype(np.float32)[None]
+  weights = carving.azimuth_weights(faint, masks[:1], AZIMUTHS)
+  np.testing.assert_allclose(weights, 1 / len(AZIMUTHS), atol=1e-6)
+
+
+def test_the_mirrored_view_carves_the_mirrored_shape(masks):
+  probability = np.random.default_rng(1).random((1, SIZE, SIZE, SIZE), np.float32)
+  probability = np.maximum(probability * 0.7, make_object())
+  found = np.asarray(carving.carve(probability, masks[1:2], AZIMUTHS))
+  other = np.asarray(carving.carve(probability[:, ::-1], masks[1:2, :, ::-1], AZIMUTHS))
+  # Centres that project onto the border of two pixels may fall to either side.
+  assert (np.abs(found - other[:, ::-1]) < 1e-3).mean() > 0.99
+
+
+def test_other_arrays_are_refused():
+  with pytest.raises(ValueError, match='are due'):
+    carving.carve(np.zeros((1, 8, 8, 4)), np.zeros((1, 16, 16), bool))
+  with pytest.raises(ValueError, match='are due'):
+    carving.carve(np.zeros((2, 8, 8, 8)), np.zeros((1, 16, 16), bool))
