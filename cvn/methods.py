@@ -5,7 +5,7 @@ results are numpy arrays.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -21,6 +21,7 @@ THRESHOLDS = {
 }
 SHAPE_KINDS = (*THRESHOLDS,)
 COLOR_KINDS = ('color', 'regression', 'flow', 'joint', 'r2n2')
+BLENDING_KINDS = ('color', 'joint')  # whose colours depend on alpha
 
 
 def score(
@@ -101,6 +102,43 @@ def colors(
     volume = reconstruct.estimate_r2n2(variables, views, grid_size=grid_size)
     found = blending.adjust_color(volume, threshold)[1]
   return np.asarray(found)
+
+
+def blends(
+  kind: str,
+  variables,
+  views: np.ndarray,
+  alphas: Sequence[float],
+  *,
+  flip: bool = False,
+  grid_size: int = GRID_SIZE,
+) -> Iterator[np.ndarray]:
+  """What `colors` says for each of several alphas, from one run of the network.
+
+  Args:
+    kind: one of `BLENDING_KINDS`.
+    variables: of the network.
+    views: [V, H, W, 4 or 3].
+    alphas: each in (0, 1].
+    flip: as of `score`.
+    grid_size: of the network.
+
+  Yields:
+    [V, X, Y, Z, 3] in [0, 1] for each alpha.
+  """
+  estimate = {'color': reconstruct.estimate_color, 'joint': reconstruct.estimate_joint}[kind]
+  seen = [views, views[:, :, ::-1]] if flip else [views]
+  found = [estimate(variables, v, grid_size=grid_size) for v in seen]
+  for alpha in alphas:
+    plain, *other = (
+      np.asarray(
+        blending.blend(
+          x.sampled, x.regressed, blending.recalculate_weight(x.weight, alpha)[..., None]
+        )
+      )
+      for x in found
+    )
+    yield (plain + other[0][:, ::-1]) / 2 if flip else plain
 
 
 def _with_mirrored(estimate, views):

@@ -1,7 +1,7 @@
 r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
-  [--category=NAME,...] [--source=NAME,...] [--alpha=0.2] [--threshold=NUMBER|val] [--flip]
+  [--category=NAME,...] [--source=NAME,...] [--alpha=NUMBER|val] [--threshold=NUMBER|val] [--flip]
   [--carve] [--baselines] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
@@ -34,6 +34,8 @@ from cvn.files import atomic_write
 from experiments import scoring
 from experiments.scoring import METRICS, Baseline, Network
 
+ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
+
 
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
@@ -51,10 +53,11 @@ def define_flags(f: flags.FlagValues) -> None:
     f' {metrics.OCCUPIED}, of r2n2 {methods.THRESHOLDS["r2n2"]}.',
     **own,
   )
-  flags.DEFINE_float(
+  flags.DEFINE_string(
     'alpha',
-    blending.ALPHA,
-    'In (0, 1]: the smaller, the more the sampled colours count.',
+    str(blending.ALPHA),
+    "In (0, 1]: the smaller, the more the sampled colours count; 'val' chooses it on the split val,"
+    f' of {", ".join(map(str, ALPHAS))}.',
     **own,
   )
   flags.DEFINE_bool(
@@ -69,7 +72,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines, too.', **own)
   flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
-  flags.register_validator('alpha', lambda x: 0 < x <= 1, 'must be in (0, 1]', f)
+  flags.register_validator('alpha', is_alpha, "must be in (0, 1], or 'val'", f)
   flags.register_validator('threshold', is_threshold, "must be a number or 'val'", f)
 
 
@@ -92,6 +95,7 @@ def run(f: flags.FlagValues) -> int:
   with atomic_write(f.json) if f.json else contextlib.nullcontext() as temporary:
     means = find_baselines(dataset, rows) if f.baselines else {}
     threshold = find_threshold(f, dataset, shape)
+    alpha = find_alpha(f, dataset, shape, color, threshold)
     found = [
       scoring.score_model(
         dataset,
@@ -99,16 +103,16 @@ def run(f: flags.FlagValues) -> int:
         shape,
         color,
         means.get(models[row].category),
-        alpha=f.alpha,
+        alpha=alpha,
         threshold=threshold,
         flip=f.flip,
         carve=f.carve,
       )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
-    told = ('data', 'split', 'shape', 'color', 'alpha', 'flip', 'carve')
+    told = ('data', 'split', 'shape', 'color', 'flip', 'carve')
     report = {name: f[name].value for name in told}
-    report |= {'threshold': threshold} | summarize(dataset, rows, found)
+    report |= {'alpha': alpha, 'threshold': threshold} | summarize(dataset, rows, found)
     print_report(report)
     if temporary:
       with open(temporary, 'w') as out:
@@ -126,6 +130,14 @@ def is_threshold(text: str | None) -> bool:
     return False
 
 
+def is_alpha(text: str) -> bool:
+  """Likewise."""
+  try:
+    return text == 'val' or 0 < float(text) <= 1
+  except ValueError:
+    return False
+
+
 def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None) -> float:
   """The threshold that the flags ask for.
 
@@ -136,11 +148,40 @@ def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None)
     return float(f.threshold)
   if shape is None or f.threshold is None:
     return methods.THRESHOLDS[shape.kind if shape else 'shape']
+  progress = tqdm(
+    _validation_rows(f, dataset, 'threshold'), desc='threshold on val', unit='model', disable=None
+  )
+  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip, carve=f.carve)
+
+
+def find_alpha(
+  f: flags.FlagValues,
+  dataset: Dataset,
+  shape: Network | None,
+  color: Network | None,
+  threshold: float,
+) -> float:
+  """The alpha that the flags ask for; any where colours do not depend on it.
+
+  Raises:
+    UserError: it is to be chosen, and there is nothing to choose it on.
+  """
+  if f.alpha != 'val':
+    return float(f.alpha)
+  if color is None or color.kind not in methods.BLENDING_KINDS:
+    return blending.ALPHA
+  progress = tqdm(
+    _validation_rows(f, dataset, 'alpha'), desc='alpha on val', unit='model', disable=None
+  )
+  options = {'threshold': threshold, 'flip': f.flip, 'carve': f.carve}
+  return scoring.choose_alpha(dataset, progress, shape, color, ALPHAS, **options)
+
+
+def _validation_rows(f, dataset, name):
   rows = data.select_rows(dataset, 'val', f.category, f.source)
   if len(rows) == 0:
-    raise UserError(f'{f.data} has no finished model in the split val: give a --threshold')
-  progress = tqdm(rows, desc='threshold on val', unit='model', disable=None)
-  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip, carve=f.carve)
+    raise UserError(f'{f.data} has no finished model in the split val: give a --{name}')
+  return rows
 
 
 def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
@@ -216,6 +257,8 @@ def print_report(report: dict[str, Any]) -> None:
     print(f'occupied: what scores above {report["threshold"]:g}')
   if not report['shape']:
     print('no --shape: colours are judged on the true shapes')
+  if report['color']:
+    print(f'alpha: {report["alpha"]:g}')
   whose = [w for w in ('networks', 'baselines') if w in report]
   used = [k for k in METRICS if report['networks']['total'][k] is not None]
   head = {'networks': '{}', 'baselines': '({})'}

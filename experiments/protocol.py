@@ -10,7 +10,6 @@ The defaults are the paper's protocol: one model a category, 500 epochs, batches
 trains one epoch, to see whether all works.
 """
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from cvn.dataset import Manifest, open_dataset
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from experiments import scoring
+from experiments.evaluate import ALPHAS
 from experiments.stages import read_json, run_program
 from experiments.train import DTYPES
 
@@ -53,13 +53,13 @@ class Method(NamedTuple):
   title: str
   shape: str  # the training whose network gives shapes
   color: str  # likewise colours; '' for methods of shapes alone
-  alpha: float | None = blending.ALPHA  # None: chosen on the split val
+  alpha: float | str = blending.ALPHA  # or 'val': chosen on the split val
   threshold: str = 'paper'  # or 'val', where the paper's program has none
   flip: bool = False  # whether means with the mirrored view are taken
   carve: bool = False  # whether shapes are carved by the view's silhouette
 
 
-ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)
+_ON_VAL: dict[str, Any] = {'alpha': 'val', 'threshold': 'val'}
 METHODS = {
   'r2n2': Method('Adapted R2N2', 'r2n2', 'r2n2', threshold='val'),
   'cross_entropy': Method('Ours (cross-entropy)', 'cross_entropy', ''),
@@ -72,14 +72,14 @@ METHODS = {
   'unified': Method('Unified network', 'unified', 'unified'),
   # What goes beyond the paper, one thing after the other.
   'plus_threshold': Method('+ threshold chosen on val', 'msfcel', 'blended', threshold='val'),
-  'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', None, 'val'),
-  'plus_color': Method('+ colours by the recipe best', 'msfcel', 'blended_best', None, 'val'),
-  'plus_shape': Method('+ shapes by the recipe best', 'msfcel_best', 'blended_best', None, 'val'),
+  'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', **_ON_VAL),
+  'plus_color': Method('+ colours by the recipe best', 'msfcel', 'blended_best', **_ON_VAL),
+  'plus_shape': Method('+ shapes by the recipe best', 'msfcel_best', 'blended_best', **_ON_VAL),
   'plus_flip': Method(
-    '+ mean with the mirrored view', 'msfcel_best', 'blended_best', None, 'val', flip=True
+    '+ mean with the mirrored view', 'msfcel_best', 'blended_best', **_ON_VAL, flip=True
   ),
   'best': Method(
-    '+ carved by the silhouette', 'msfcel_best', 'blended_best', None, 'val', flip=True, carve=True
+    '+ carved by the silhouette', 'msfcel_best', 'blended_best', **_ON_VAL, flip=True, carve=True
   ),
 }
 
@@ -175,7 +175,6 @@ def evaluate(
   *,
   split: str = 'test',
   threshold: str | None = None,
-  alpha: float | None = None,
 ) -> dict[str, Any]:
   """Evaluates a method on held-out models, training what it needs.
 
@@ -186,7 +185,6 @@ def evaluate(
     seed: of everything random.
     split: to judge it on.
     threshold: 'paper' or 'val', instead of what --threshold says.
-    alpha: of the blend, instead of the method's own.
 
   Returns:
     The report that experiments.evaluate writes.
@@ -196,21 +194,14 @@ def evaluate(
   workdirs = {'shape': train(f, own.shape, category, seed)}
   if own.color:
     workdirs['color'] = train(f, own.color, category, seed)
-  kept = {'split': split, 'threshold': threshold}
-  if own.color and (alpha or own.alpha) is None:
-    on_val = {
-      a: evaluate(f, method, category, seed, **kept | {'split': 'val'}, alpha=a) for a in ALPHAS
-    }
-    alpha = max(ALPHAS, key=lambda a: on_val[a]['networks']['total']['psnr_rgb'] or -math.inf)
-  given = [] if alpha is None else [f'{alpha:g}']
-  name = '_'.join([method, *given, category, seed, *f.source, split, *(['val'] if chosen else [])])
+  name = '_'.join([method, category, seed, *f.source, split, *(['val'] if chosen else [])])
   report = os.path.join(f.workdir, 'scores', f'{name}.json')
   asked = {
     'data': f.data,
     'split': split,
     'category': ','.join(f.category) if category == ALL else category,
     'source': ','.join(f.source),
-    'alpha': alpha or own.alpha,
+    'alpha': own.alpha,
     'flip': str(own.flip).lower(),
     'carve': str(own.carve).lower(),
     **({'threshold': 'val'} if chosen else {}),

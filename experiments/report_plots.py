@@ -13,6 +13,7 @@ import matplotlib.figure
 import numpy as np
 
 from experiments import protocol
+from experiments.evaluate import ALPHAS
 from experiments.report_blocks import Picture
 from experiments.report_results import Comparison, Line, Lines, Training
 from experiments.report_tables import mean_over_models
@@ -43,7 +44,7 @@ _COLORS = {
   'unified': '#9a6fb5',
   **dict(
     zip(
-      (f'blended_{a:g}' for a in protocol.ALPHAS),
+      (f'blended_{a:g}' for a in ALPHAS),
       ('#2f6fb5', '#5b8fc9', '#82abd8', '#a6c4e4', '#c6d9ee'),
       strict=True,
     )

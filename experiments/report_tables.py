@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cvn.intervals import Estimate
 from experiments import protocol
+from experiments.evaluate import ALPHAS
 from experiments.report_blocks import Block, Cell, Items, Table
 from experiments.report_results import Comparison, Line, Lines, Number
 from experiments.tables import AVERAGE
@@ -13,7 +14,7 @@ from experiments.tables import AVERAGE
 FEW = 5  # test models: with fewer, a mean says little
 NONE = '–'
 # Blends with another alpha than the one that the paper goes on with: not ranked.
-VARIANTS = {protocol.METHODS[f'blended_{a:g}'].title for a in protocol.ALPHAS[1:]}
+VARIANTS = {protocol.METHODS[f'blended_{a:g}'].title for a in ALPHAS[1:]}
 
 
 def methods_table(lines: Lines, form: str, caption: str) -> list[Block]:

@@ -109,6 +109,43 @@ def choose_threshold(
   return float(candidates[np.argmax(curve)])
 
 
+def choose_alpha(
+  dataset: Dataset,
+  rows: Iterable[int],
+  shape: Network | None,
+  color: Network,
+  alphas: Sequence[float],
+  *,
+  threshold: float,
+  flip: bool = False,
+  carve: bool = False,
+) -> float:
+  """The alpha of the best mean surface PSNR in RGB over all views of the rows' models.
+
+  The first one where no view has any occupied voxel. Arguments as of `score_model`.
+  """
+  size = dataset.manifest.grid_size
+  found = {alpha: [] for alpha in alphas}
+  for row in rows:
+    record = read_record(dataset, row)
+    true = to_voxels(record, size)
+    views = record.views.astype(np.float32) / 255
+    occupied = [true.occupancy] * len(views)
+    if shape:
+      azimuths = dataset.manifest.azimuths if carve else ()
+      options = {'flip': flip, 'carve': azimuths, 'grid_size': size}
+      occupied = methods.score(shape.kind, shape.variables, views, **options) >= threshold
+    partners = [metrics.aligned_colors(o, true) for o in occupied]
+    options = {'flip': flip, 'grid_size': size}
+    blends = methods.blends(color.kind, color.variables, views, alphas, **options)
+    for alpha, colors in zip(alphas, blends, strict=True):
+      psnrs = [
+        metrics.psnr(c[o], p).rgb for c, o, p in zip(colors, occupied, partners, strict=True)
+      ]
+      found[alpha] += [min(x, PSNR_CEILING) for x in psnrs if not math.isnan(x)]
+  return max(alphas, key=lambda alpha: np.mean(found[alpha]) if found[alpha] else -math.inf)
+
+
 def score_model(
   dataset: Dataset,
   row: int,

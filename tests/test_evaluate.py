@@ -81,6 +81,17 @@ def _evaluate(tmp_path, *arguments, **named):
     return json.load(f)
 
 
+def _make_with_val(tmp_path):
+  return synthetic.make_dataset(
+    tmp_path / 'data',
+    4,
+    splits=('train', 'val', 'val', 'test'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+  ).root
+
+
 def _true(record):
   occupancy, color = np.zeros((GRID,) * 3, bool), np.zeros((GRID,) * 3 + (3,))
   at = tuple(record.surface_index.T)
@@ -129,7 +140,8 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     assert found['views_without_voxels'] == 0
   lines = capsys.readouterr().out.splitlines()
   assert lines[0] == '3 models of the split test, 3 views each'
-  assert [line.split()[0] for line in lines[3:10]] == [
+  assert lines[2] == 'alpha: 0.5'
+  assert [line.split()[0] for line in lines[4:11]] == [
     'all',
     'by',
     'ball',
@@ -244,14 +256,7 @@ def test_no_view_counts_for_more_than_rounding_allows():
 
 def test_a_threshold_is_chosen_on_val_or_given(tmp_path, given, capsys):
   """The chosen one is the best of those tried, on the models that the split val has."""
-  data = synthetic.make_dataset(
-    tmp_path / 'data',
-    4,
-    splits=('train', 'val', 'val', 'test'),
-    azimuths=AZIMUTHS,
-    image_size=IMAGE,
-    grid_size=GRID,
-  ).root
+  data = _make_with_val(tmp_path)
   shape = {'data': data, 'shape': given['shape']}
   chosen = _evaluate(tmp_path, threshold='val', **shape)['threshold']
   scores = {
@@ -264,6 +269,22 @@ def test_a_threshold_is_chosen_on_val_or_given(tmp_path, given, capsys):
     _run(threshold='val', **given)
   with pytest.raises(flags.IllegalFlagValueError, match='must be a number'):
     _run(threshold='high', **given)
+
+
+def test_an_alpha_is_chosen_on_val_or_given(tmp_path, given, capsys):
+  data = _make_with_val(tmp_path)
+  whose = {k: given[k] for k in ('shape', 'color')} | {'data': data, 'threshold': 0.3}
+  options = '--flip', '--carve'
+  chosen = _evaluate(tmp_path, *options, alpha='val', **whose)['alpha']
+  scores = {
+    a: _evaluate(tmp_path, *options, split='val', alpha=a, **whose)['networks']['total']['psnr_rgb']
+    for a in program.ALPHAS
+  }
+  assert len(set(scores.values())) == len(scores)
+  assert chosen == max(scores, key=scores.get)
+  assert f'alpha: {chosen:g}' in capsys.readouterr().out
+  with pytest.raises(UserError, match='no finished model in the split val: give a --alpha'):
+    _run(alpha='val', **given)
 
 
 def test_the_mirrored_view_may_count_too(tmp_path, given):
