@@ -150,7 +150,7 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     '90°',
     '200°',
   ]
-  cells = lines[3].split()[1:]
+  cells = lines[4].split()[1:]
   assert cells[0] == f'{scores[0].mean():.3f}' and cells[1] == f'{beaten[0].mean():.3f}'
 
 
