@@ -95,10 +95,11 @@ def surface_slots(dataset: Dataset) -> int:
 
 
 def composite(rgba: Any, background: float = GREY) -> Any:
-  """[..., 4] u8 sRGB and straight alpha over grey -> [..., 3] float32 in [0, 1]."""
-  rgba = rgba.astype(np.float32) / 255
+  """[..., 4] sRGB and straight alpha, u8 or in [0, 1], over grey -> [..., 3] in [0, 1]."""
+  if rgba.dtype == np.uint8:
+    rgba = rgba.astype(np.float32) / 255
   alpha = rgba[..., 3:]
-  return rgba[..., :3] * alpha + np.float32(background) * (1 - alpha)
+  return rgba[..., :3] * alpha + background * (1 - alpha)
 
 
 def decode(batch: Any, background: float = GREY) -> Any:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cvn import blending, sampler
-from cvn.data import GREY
+from cvn.data import GREY, composite
 from cvn.grid import GRID_SIZE, ColoredVoxels
 from cvn.metrics import OCCUPIED
 from cvn.networks import (
@@ -199,7 +199,6 @@ def _prepare(views, background):
   foreground = foreground_of(views)
   if views.shape[-1] == 3:
     return views, views, foreground
-  color, opacity = views[..., :3], views[..., 3:]
-  image = color * opacity + background * (1 - opacity)
+  image = composite(views, background)
   # An edge pixel's own colour, not its mixture with the ground.
-  return image, jnp.where(foreground[..., None], color, image), foreground
+  return image, jnp.where(foreground[..., None], views[..., :3], image), foreground
