@@ -103,11 +103,18 @@ def run(f: flags.FlagValues) -> int:
       learning_rate=f.learning_rate,
       seed=f.seed,
     )
-  stage('experiments.evaluate', data=folder['data'], baselines='true', json=evaluation, **networks)
   dataset = open_dataset(folder['data'])
+  best = {**networks, 'flip': 'true', 'carve': 'true'}
+  # A handful of objects may leave none to choose on.
+  on_val = {k: 'val' for k in ('threshold', 'alpha') if len(data.select_rows(dataset, 'val'))}
+  stage(
+    'experiments.evaluate',
+    **{'data': folder['data'], 'baselines': 'true', 'json': evaluation, **best, **on_val},
+  )
+  best |= {k: read_json(evaluation)[k] for k in ('threshold', 'alpha')}
   pictures = choose_pictures(dataset, f.pictures)
   files = [write_picture(dataset, p, folder['pictures']) for p in pictures]
-  stage('experiments.reconstruct', image=','.join(files), output=folder['models'], **networks)
+  stage('experiments.reconstruct', image=','.join(files), output=folder['models'], **best)
 
   table, success, verdict = judge(read_json(evaluation))
   page = demo_page.Page(
