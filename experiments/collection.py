@@ -9,7 +9,8 @@ made people alone, for the experiments on articulated objects.
 The real models are few, so a hash of their names would leave some categories without any for
 testing: each category's families of models are ranked by hash, and the first fifth is for testing,
 the next tenth for validation (DIR/splits has the lists). Procedural models and people are split as
-datagen.generate does by itself. The same command again makes only what is missing.
+datagen.generate does by itself. Of the paper's people none are for validation, so a tenth as many
+more are made for it, of another seed. The same command again makes only what is missing.
 """
 
 import os
@@ -25,6 +26,7 @@ from datagen.splits import ranked_splits, write_splits
 from experiments.stages import run_program
 
 CATEGORIES = ('car', 'chair', 'guitar', 'human', 'table')
+VALIDATION_SEED = 1  # of the people that are for validation
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -42,7 +44,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer(
     'procedural', 200, 'Procedural models of each category; 0 for none.', lower_bound=0, **own
   )
-  flags.DEFINE_integer('people', 300, 'People.', lower_bound=10, **own)
+  flags.DEFINE_integer('people', 300, 'People for training and testing.', lower_bound=10, **own)
   flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
   flags.mark_flag_as_required('output', f)
 
@@ -65,6 +67,11 @@ def run(f: flags.FlagValues) -> None:
   if f.humans:
     people = os.path.join(f.output, 'people')
     generate(f, people, 'humans', ['human'], input=f.humans, limit=f.people)
+    lists = os.path.join(f.output, 'splits_people')
+    more = {'limit': f.people // 10, 'seed': VALIDATION_SEED}
+    models = list_models('humans', ['human'], f.humans, *more.values())
+    write_splits(lists, 'human', {m.id: 'val' for m in models})
+    generate(f, people, 'humans', ['human'], input=f.humans, splits=lists, **more)
 
 
 def write_ranked_splits(libraries: str, folder: str) -> None:

@@ -42,13 +42,18 @@ def test_real_and_procedural_models_share_a_data_set_and_people_have_their_own(
     SourceModel(name, 'chair', detail=Piece(model, name, name, (), '', ('', '', ''), '', ''))
     for name, model in places.items()
   ]
-  monkeypatch.setattr(program, 'list_models', lambda *_: pieces)
+  more = [SourceModel(f'human-1-{i}', 'human', detail=None) for i in range(30)]
+  models = {('sweethome3d', None, 0): pieces, ('humans', 30, 1): more}
+  monkeypatch.setattr(
+    program, 'list_models', lambda source, _, __, limit, seed: models[source, limit, seed]
+  )
   run('--sweethome3d=LIBRARIES', '--humans=W.whl', '--procedural=5', f'--output={tmp_path}')
-  assert [x['source'] for x in asked] == ['sweethome3d', 'procedural', 'humans']
-  assert [x['append'] for x in asked] == ['false', 'true', 'false']
-  assert [x.get('limit') for x in asked] == [None, 5, 300]
+  assert [x['source'] for x in asked] == ['sweethome3d', 'procedural', 'humans', 'humans']
+  assert [x['append'] for x in asked] == ['false', 'true', 'false', 'true']
+  assert [(x.get('limit'), x.get('seed')) for x in asked[1:]] == [(5, None), (300, None), (30, 1)]
   objects, people = f'{tmp_path}/objects', f'{tmp_path}/people'
-  assert [x['output'] for x in asked] == [objects, objects, people]
+  assert [x['output'] for x in asked] == [objects, objects, people, people]
+  assert read_splits(asked[-1]['splits'], 'human') == {m.id: 'val' for m in more}
   lists = read_splits(str(tmp_path / 'splits'), 'chair')
   assert lists['chair0'] == lists['chair1'] != lists['bench']
 
