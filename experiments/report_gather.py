@@ -20,6 +20,7 @@ from cvn.errors import UserError
 from cvn.intervals import Estimate
 from experiments import protocol
 from experiments.report_results import (
+  SOURCES,
   Comparison,
   Figure,
   Line,
@@ -62,9 +63,13 @@ def read_workdirs(paths: Sequence[str]) -> list[Workdir]:
     w = read_workdir(path.rstrip('/'))
     if any(w.path == other.path for other in found):
       raise UserError(f'{path} is named twice in --workdir')
-    key = _distinct(w.key, [x.key for x in found])
-    found.append(w._replace(key=key, label=_distinct(w.label, [x.label for x in found])))
-  return found
+    found.append(w._replace(key=_distinct(w.key, [x.key for x in found])))
+  told = [w.label for w in found]
+  labels: list[str] = []
+  for w in found:
+    label = f'{w.label}, {_epochs(w)}' if told.count(w.label) > 1 else w.label
+    labels.append(_distinct(label, labels))
+  return [w._replace(label=label) for w, label in zip(found, labels, strict=True)]
 
 
 def read_workdir(path: str) -> Workdir:
@@ -258,7 +263,14 @@ def _label(tables: Mapping[str, Tabled], trainings: Sequence[Training]) -> str:
   parts = ['one network for all categories'] * (protocol.ALL in scopes)
   parts += [f'a network a category ({", ".join(names)})'] * bool(names)
   parts += [f'{len(seeds)} seeds'] * (len(seeds) > 1)
+  sources = {s: None for t in trainings for s in t.config.get('source', [])}
+  parts += [f'trained on {" and ".join(SOURCES.get(s, s) for s in sources)} alone'] * bool(sources)
   return ', '.join(parts)
+
+
+def _epochs(w: Workdir) -> str:
+  trained = sorted({round(t.epochs) for t in w.trainings})
+  return f'{" to ".join(map(str, dict.fromkeys([*trained[:1], *trained[-1:]])))} epochs'
 
 
 def _files(path: str, folder: str, suffix: str) -> dict[str, str]:

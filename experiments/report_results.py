@@ -4,6 +4,16 @@ from typing import Any, NamedTuple
 
 from cvn.intervals import Estimate
 
+# Of models, in words.
+SOURCES = {
+  'sweethome3d': 'models of Sweet Home 3D',
+  'procedural': 'procedural models',
+  'humans': 'people made from MakeHuman’s bodies',
+  'shapenet': 'models of ShapeNet',
+  'im2avatar_release': 'models of the authors’ release',
+  'meshes': 'other meshes',
+}
+
 
 class Number(NamedTuple):
   """A method in a category; NaN where there is no number."""

@@ -11,7 +11,7 @@ from experiments import protocol
 from experiments.report_blocks import Block, Cell, Heading, Missing, Table
 from experiments.report_facts import Data, finished_in, shorten
 from experiments.report_gather import read_seconds
-from experiments.report_results import Workdir
+from experiments.report_results import SOURCES, Workdir
 
 PAPER_VIEWS = (220_500, 1_186_000)  # 500 epochs of 441 guitars, of 2372 cars
 PAPER = {
@@ -26,15 +26,6 @@ PAPER = {
   'arithmetic': 'float32',
   'BatchNorm at test time': 'running averages',
   'seeds': 'not said',
-}
-# Of models, in words.
-SOURCES = {
-  'sweethome3d': 'models of Sweet Home 3D',
-  'procedural': 'procedural models',
-  'humans': 'people made from MakeHuman’s bodies',
-  'shapenet': 'models of ShapeNet',
-  'im2avatar_release': 'models of the authors’ release',
-  'meshes': 'other meshes',
 }
 # The program of each table or figure, by the name of what it leaves.
 PROGRAMS = {

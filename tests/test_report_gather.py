@@ -106,10 +106,12 @@ def test_folders_that_hold_nothing(tmp_path):
 
 
 def test_folders_have_different_names(given, tmp_path):
-  paths = [str(shutil.copytree(given, tmp_path / n / 'work')) for n in 'ab']
-  first, second = read_workdirs([paths[0] + '/', paths[1]])
-  assert (first.key, second.key) == ('work', 'work-2')
-  assert second.label == f'{first.label}-2'
+  paths = [str(shutil.copytree(given, tmp_path / n / 'work')) for n in 'abc']
+  first, second, third = read_workdirs([paths[0] + '/', *paths[1:]])
+  assert (first.key, second.key, third.key) == ('work', 'work-2', 'work-3')
+  alone = read_workdir(paths[0]).label
+  assert first.label == f'{alone}, 2 epochs'
+  assert (second.label, third.label) == (f'{first.label}-2', f'{first.label}-3')
   with pytest.raises(UserError, match='twice'):
     read_workdirs([paths[0], paths[0] + '/'])
 
@@ -121,5 +123,8 @@ def test_a_folder_is_called_after_the_networks_of_its_tables(tmp_path):
   assert read_workdir(str(tmp_path)).label == mixed
   workdirs.write_tables(tmp_path, models='category', seeds=3)
   assert read_workdir(str(tmp_path)).label == 'a network a category (car, chair), 3 seeds'
+  workdirs.write_training(tmp_path / 'third', 'msfcel_all_0', source=['procedural', 'mine'])
+  expected = 'one network for all categories, trained on procedural models and mine alone'
+  assert read_workdir(str(tmp_path / 'third')).label == expected
   workdirs.write_figure(tmp_path / 'other/figures/random.png')
   assert read_workdir(str(tmp_path / 'other')).label == 'other'
