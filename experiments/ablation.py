@@ -19,6 +19,7 @@ STEPS = (
   *('blended_0.2', 'plus_threshold', 'plus_alpha', 'plus_color', 'plus_shape', 'plus_flip'),
   'best',
 )
+ENDS = {'blended_0.2': 'paper', 'best': '+ carved by the silhouette'}  # what they are called here
 METRICS = {'iou': ('IoU', '.3f'), 'psnr_rgb': ('PSNR RGB', '.2f')}
 SPLITS = ('val', 'test')
 
@@ -37,7 +38,7 @@ def run(f: flags.FlagValues) -> None:
   rows = {
     (split, metric): [
       Row(
-        'paper' if m == STEPS[0] else protocol.METHODS[m].title,
+        ENDS.get(m, protocol.METHODS[m].title),
         tables.collect(f, m, metric, split=split),
         {},
       )

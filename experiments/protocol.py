@@ -78,9 +78,7 @@ METHODS = {
   'plus_flip': Method(
     '+ mean with the mirrored view', 'msfcel_best', 'blended_best', **_ON_VAL, flip=True
   ),
-  'best': Method(
-    '+ carved by the silhouette', 'msfcel_best', 'blended_best', **_ON_VAL, flip=True, carve=True
-  ),
+  'best': Method('Recipe best', 'msfcel_best', 'blended_best', **_ON_VAL, flip=True, carve=True),
 }
 
 
