@@ -1,9 +1,11 @@
 """Space carving of an estimated shape by the silhouette of its view.
 
-A voxel that projects off the view's silhouette is empty, however sure the network is of it. Which
-azimuth the view was taken from is not known; it is told from the shape itself: the better the
-silhouette of the estimate, seen from an azimuth, agrees with the view's, the likelier the azimuth.
-Beyond the paper, which uses the camera for the target flows alone (section 3.3).
+A voxel that projects off the view's silhouette is empty, however sure the network is of it; and
+what lies on the silhouette must be somewhere along its ray, so a voxel's probability counts as a
+share of the largest one there. Which azimuth the view was taken from is not known; it is told from
+the shape itself: the better the silhouette of the estimate, seen from an azimuth, agrees with the
+view's, the likelier the azimuth. Beyond the paper, which uses the camera for the target flows alone
+(section 3.3).
 """
 
 import functools
@@ -19,25 +21,37 @@ from cvn.metrics import OCCUPIED
 
 # How fast an azimuth's weight falls with the IoU of its silhouette, chosen on a validation split.
 SHARPNESS = 30.0
+# Rays along which nothing is likelier than this are not explained by the most likely voxel.
+EVEN = 0.5
 
 
 @functools.partial(jax.jit, static_argnames='azimuths')
 def carve(
   probability: Any, foreground: Any, azimuths: Sequence[float] = camera.AZIMUTHS
 ) -> jax.Array:
-  """Occupancy [B, X, Y, Z] times how surely each voxel lies inside the silhouette, in [0, 1].
+  """Occupancy [B, X, Y, Z] in [0, 1] that agrees with the silhouettes.
 
-  Inside is what projects onto the foreground, in the mean over the azimuths with
-  `azimuth_weights`. A foreground that is the whole image changes nothing.
+  Seen from an azimuth, a voxel that projects off the foreground has 0, any other its probability
+  over the largest one that projects to its pixel or those around; over 0.5 where that is less. The
+  result is the mean over the azimuths with `azimuth_weights`.
 
   Args:
     probability: [B, X, Y, Z] of being occupied.
     foreground: [B, H, W] bool, square, of views with the camera of cvn.camera.
     azimuths: a tuple, degrees: those that the view may have been taken from.
   """
-  inside, agreement = _compare(probability, foreground, azimuths)
-  weights = jax.nn.softmax(SHARPNESS * agreement, axis=0)
-  return probability * jnp.einsum('ab,abxyz->bxyz', weights, inside.astype(jnp.float32))
+
+  def add(total, seen):
+    pixels, weights = seen
+    largest = _draw(probability, pixels, foreground.shape[1:])
+    largest = _window(largest, -jnp.inf, jax.lax.max)
+    explained = probability / jnp.maximum(_look_up(largest, pixels, probability), EVEN)
+    inside = _look_up(foreground, pixels, probability)
+    return total + weights[:, None, None, None] * jnp.where(inside, explained, 0), None
+
+  pixels = _project(probability, foreground, azimuths)
+  weights = azimuth_weights(probability, foreground, azimuths).T
+  return jax.lax.scan(add, jnp.zeros_like(probability), (pixels, weights))[0]
 
 
 @functools.partial(jax.jit, static_argnames='azimuths')
@@ -49,38 +63,50 @@ def azimuth_weights(
   Of each azimuth counts the IoU of two silhouettes: the foreground, and that of the voxels with a
   probability of at least 0.8 seen from there.
   """
-  return jax.nn.softmax(SHARPNESS * _compare(probability, foreground, azimuths)[1], axis=0).T
+
+  def agree(pixels):
+    seen = _close(_draw(probability >= OCCUPIED, pixels, foreground.shape[1:]))
+    union = jnp.sum(seen | foreground, (1, 2))
+    return jnp.sum(seen & foreground, (1, 2)) / jnp.maximum(union, 1)
+
+  agreement = jax.lax.map(agree, _project(probability, foreground, azimuths))
+  return jax.nn.softmax(SHARPNESS * agreement.T, axis=1)
 
 
-def _compare(probability, foreground, azimuths):
-  """For each azimuth: which voxels are inside [A, B, X, Y, Z], the silhouettes' IoU [A, B]."""
+def _project(probability, foreground, azimuths):
+  """The pixels (row, column) that voxels' centres project to from each azimuth, [A, X * Y * Z]."""
   size, image = probability.shape[1:], foreground.shape[1:]
   if len(set(size)) > 1 or len(set(image)) > 1 or len(probability) != len(foreground):
     raise ValueError(f'[B, X, X, X] and [B, H, H] are due: {probability.shape}, {foreground.shape}')
+  index = np.stack(np.meshgrid(*map(np.arange, size), indexing='ij'), -1).reshape(-1, 3)
+  centers = jnp.asarray(grid.index_to_world(index, size=size[0]), jnp.float32)
   cameras = [camera.camera_at(a, image_size=image[0]) for a in azimuths]
-  occupied = (probability >= OCCUPIED).reshape(len(probability), -1)
-  centers = grid.index_to_world(
-    np.stack(np.meshgrid(*map(np.arange, size), indexing='ij'), -1).reshape(-1, 3), size=size[0]
-  )
+  cameras = jax.tree.map(lambda *x: jnp.asarray(np.stack(x), jnp.float32), *cameras)
 
-  def compare(view):
+  def project(view):
     with jax.default_matmul_precision('highest'):
-      pixel, _ = camera.project(jnp.asarray(centers, jnp.float32), view)
+      pixel, _ = camera.project(centers, view)
     column, row = jnp.clip(jnp.floor(pixel).astype(jnp.int32), 0, image[0] - 1).T
-    drawn = jnp.zeros(foreground.shape, bool).at[:, row, column].max(occupied)
-    seen = _close(drawn)
-    union = jnp.sum(seen | foreground, (1, 2))
-    agreement = jnp.sum(seen & foreground, (1, 2)) / jnp.maximum(union, 1)
-    return foreground[:, row, column].reshape(probability.shape), agreement
+    return row, column
 
-  views = jax.tree.map(lambda *x: jnp.asarray(np.stack(x), jnp.float32), *cameras)
-  return jax.lax.map(compare, views)
+  return jax.lax.map(project, cameras)
+
+
+def _draw(volume, pixels, size):
+  """The largest value that projects to each pixel, [B, H, W]; 0 where none does."""
+  values = volume.reshape(len(volume), -1)
+  return jnp.zeros((len(volume), *size), volume.dtype).at[:, *pixels].max(values)
+
+
+def _look_up(image, pixels, volume):
+  """The pixels [B, H, W] of all voxels, in the shape of the volume."""
+  return image[:, *pixels].reshape(volume.shape)
+
+
+def _window(image, start, reduce):
+  return jax.lax.reduce_window(image, start, reduce, (1, 3, 3), (1, 1, 1), 'SAME')
 
 
 def _close(mask):
   """Closes the gaps of a pixel that voxels, drawn as points, leave between them."""
-
-  def window(x, start, reduce):
-    return jax.lax.reduce_window(x, start, reduce, (1, 3, 3), (1, 1, 1), 'SAME')
-
-  return window(window(mask, False, jnp.logical_or), True, jnp.logical_and)
+  return _window(_window(mask, False, jnp.logical_or), True, jnp.logical_and)
