@@ -62,7 +62,7 @@ def define_flags(f: flags.FlagValues) -> None:
     'carve',
     False,
     "Carve the shape by the picture's silhouette, seen from the azimuth of the data set's views"
-    ' that fits it best: for pictures framed as these are. A lower --threshold suits it.',
+    ' that fits it best: for pictures framed as these are.',
     **own,
   )
   flags.mark_flags_as_required(['image', 'shape', 'color', 'output'], f)
