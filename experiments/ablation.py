@@ -55,10 +55,8 @@ def run(f: flags.FlagValues) -> None:
     for metric, (_, form) in METRICS.items()
   }
   print('\n'.join(f'{METRICS[k][0]}: {line}' for k, line in found.items()))
-  path = tables.path_of(f, 'ablation')
   results = {split: {m: tables.to_json(rows[split, m]) for m in METRICS} for split in SPLITS}
-  tables.write(path, tables.describe(f) | {'comparisons': found} | results)
-  print(f'\n{path}')
+  tables.finish(f, 'ablation', {'comparisons': found} | results)
 
 
 def to_markdown(rows: dict[tuple[str, str], list[Row]]) -> str:

@@ -72,9 +72,8 @@ def run(f: flags.FlagValues) -> None:
     f'{stem}_complexity.png', title, study.analysis.by_complexity, study.tested, colors.complexity
   )
   shown = draw_results(f'{stem}_results.png', f, dataset, category, trained_on)
-  path = tables.path_of(f, 'people')
-  tables.write(path, {**tables.describe(f), **people_report.to_json(study), 'results': shown})
-  print('\n' + '\n'.join([*(f'{stem}_{k}.png' for k in FIGURES), path]))
+  print('\n' + '\n'.join(f'{stem}_{k}.png' for k in FIGURES))
+  tables.finish(f, 'people', {**people_report.to_json(study), 'results': shown})
 
 
 def read_colors(f: flags.FlagValues, dataset: Dataset, category: str) -> tuple[list[str], Colors]:

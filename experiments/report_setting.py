@@ -8,25 +8,12 @@ from absl import flags
 
 from cvn.dataset import to_url
 from experiments import protocol
+from experiments.differences import PAPER, PAPER_VIEWS
 from experiments.report_blocks import Block, Cell, Heading, Missing, Table
 from experiments.report_facts import Data, finished_in, shorten
 from experiments.report_gather import read_seconds
 from experiments.report_results import SOURCES, Workdir
 
-PAPER_VIEWS = (220_500, 1_186_000)  # 500 epochs of 441 guitars, of 2372 cars
-PAPER = {
-  'data': 'ShapeNet: 3,389 cars, 2,199 chairs, 2,539 tables, 631 guitars; people: 367 meshes',
-  'networks': 'one a category',
-  'models to train on': '441 (guitars) to 2,372 (cars) a network',
-  'models to test on': '678 cars, 440 chairs, 508 tables, 127 guitars',
-  'epochs': '500',
-  'batch': '60',
-  'learning rate': '0.0003',
-  'views seen by a network': f'{PAPER_VIEWS[0]:,} to {PAPER_VIEWS[1]:,}',
-  'arithmetic': 'float32',
-  'BatchNorm at test time': 'running averages',
-  'seeds': 'not said',
-}
 # The program of each table or figure, by the name of what it leaves.
 PROGRAMS = {
   'iou': 'experiments.table_iou',

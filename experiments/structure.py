@@ -36,7 +36,7 @@ def run(f: flags.FlagValues) -> None:
   """Makes the table and the picture as the flags say."""
   dataset = open_dataset(f.data)
   examples = pictures.choose(f, dataset)
-  table = tables.describe(f)
+  table = {}
   for metric, (title, form) in TABLES.items():
     separate, unified = (
       Row(TITLES[m], tables.collect(f, m, metric), PUBLISHED[m] if metric == 'iou' else {})
@@ -45,9 +45,7 @@ def run(f: flags.FlagValues) -> None:
     comparison = tables.compare(separate, unified, form)
     table[metric] = {'rows': tables.to_json([separate, unified]), 'comparison': comparison}
     print(f'\n{title}\n\n{tables.to_markdown([separate, unified], form)}\n\n{comparison}')
-  path = tables.path_of(f, 'structure')
-  tables.write(path, table)
-  print(f'\n{path}')
+  tables.finish(f, 'structure', table)
   image = pictures.draw_results(f, dataset, examples, (SEPARATE, UNIFIED))
   caption = f'{pictures.say_choice(f)} {pictures.say_training(f)}'
   facts = {'figure_seed': f.figure_seed, **pictures.describe(f, examples, (SEPARATE, UNIFIED))}

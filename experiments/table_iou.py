@@ -52,13 +52,11 @@ def run(f: flags.FlagValues) -> None:
     }
     trivial = tables.collect(f, f.methods[0], METRIC, who='baselines', threshold=threshold)
     found[threshold] = rows | {'mean_shape': Row('Mean training shape', trivial, {})}
-  table = {'metric': METRIC, **tables.describe(f)}
+  table = {'metric': METRIC}
   for threshold, rows in found.items():
     heading = f'Mean IoU, {THRESHOLDS[threshold]} (Adapted R2N2: always chosen on val)'
     table[threshold] = tables.tell(heading, rows, 'msfcel', FORM)
-  path = tables.path_of(f, 'iou')
-  tables.write(path, table)
-  print(f'\n{path}')
+  tables.finish(f, 'iou', table)
 
 
 if __name__ == '__main__':

@@ -64,7 +64,7 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the tables as the flags say."""
-  table = tables.describe(f)
+  table = {}
   for metric in PUBLISHED:
     rows = {
       m: Row(
@@ -78,9 +78,7 @@ def run(f: flags.FlagValues) -> None:
       trivial = tables.collect(f, OURS, metric, who='baselines')
       rows['mean_color'] = Row('Mean training colour, same shapes', trivial, {})
     table[metric] = tables.tell(f'Mean surface {METRICS[metric]}, dB', rows, OURS, FORM)
-  path = tables.path_of(f, 'psnr')
-  tables.write(path, table)
-  print(f'\n{path}')
+  tables.finish(f, 'psnr', table)
 
 
 if __name__ == '__main__':

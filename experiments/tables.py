@@ -14,7 +14,7 @@ import numpy as np
 from absl import flags
 
 from cvn.files import atomic_write
-from experiments import protocol
+from experiments import differences, protocol
 
 AVERAGE = 'avg.'
 
@@ -148,10 +148,13 @@ def tell(heading: str, rows: Mapping[str, Row], ours: str, form: str) -> dict[st
   return {'rows': to_json([*rows.values()]), 'comparisons': comparisons}
 
 
-def write(path: str, table: Mapping[str, Any]) -> None:
-  """Writes a table's JSON file."""
+def finish(f: flags.FlagValues, name: str, table: Mapping[str, Any]) -> None:
+  """Writes WORKDIR/tables/NAME.json, and says how its numbers differ from the paper's."""
+  path = os.path.join(f.workdir, 'tables', f'{name}.json')
+  found = differences.find_differences(f)
   with atomic_write(path) as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps(table, indent=1) + '\n')
+    out.write(json.dumps({**describe(f), 'differences': found, **table}, indent=1) + '\n')
+  print(f'\n{differences.to_text(found)}\n\n{path}')
 
 
 def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -178,11 +181,6 @@ def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
     }
     for row in rows
   ]
-
-
-def path_of(f: flags.FlagValues, name: str) -> str:
-  """Where a table's JSON goes."""
-  return os.path.join(f.workdir, 'tables', f'{name}.json')
 
 
 def describe(f: flags.FlagValues) -> dict[str, Any]:

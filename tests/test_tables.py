@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import synthetic
 from absl import flags
 
 from experiments import ablation, table_iou, table_psnr, tables
@@ -102,11 +103,23 @@ def evaluated(monkeypatch):
 def test_programs_print_and_write_the_tables(program, name, arguments, evaluated, tmp_path, capsys):
   f = flags.FlagValues()
   program.define_flags(f)
-  f(['program', '--data=D', f'--workdir={tmp_path}', '--models=all', '--seeds=0,1', *arguments])
+  data = synthetic.make_dataset(tmp_path / 'data', 3, image_size=32, grid_size=16).root
+  f(
+    [
+      'program',
+      f'--data={data}',
+      f'--workdir={tmp_path}',
+      '--models=all',
+      '--seeds=0,1',
+      *arguments,
+    ]
+  )
   program.run(f)
   told = capsys.readouterr().out
   assert {(c, s) for _, c, s, *_ in evaluated} == {('all', '0'), ('all', '1')}
   table = json.loads((tmp_path / 'tables' / f'{name}.json').read_text())
+  assert '- networks: one for all categories [one a category]' in told
+  assert table['differences']['networks'] == 'one for all categories'
   if name == 'iou':
     assert {t for *_, t in evaluated} == {'paper', 'val'}
     assert '| Ours (MSFCEL) | 6.250 ± 0.000 [0.395] |' in told
@@ -122,7 +135,8 @@ def test_programs_print_and_write_the_tables(program, name, arguments, evaluated
 def test_the_ablation_tells_gains_on_val_and_test(evaluated, tmp_path, capsys):
   f = flags.FlagValues()
   ablation.define_flags(f)
-  f(['program', '--data=D', f'--workdir={tmp_path}', '--models=all'])
+  data = synthetic.make_dataset(tmp_path / 'data', 3, image_size=32, grid_size=16).root
+  f(['program', f'--data={data}', f'--workdir={tmp_path}', '--models=all'])
   ablation.run(f)
   told = capsys.readouterr().out
   assert {s for *_, s, _ in evaluated} == {'val', 'test'}
