@@ -264,6 +264,9 @@ def _label(tables: Mapping[str, Tabled], trainings: Sequence[Training]) -> str:
   parts += [f'a network a category ({", ".join(names)})'] * bool(names)
   parts += [f'{len(seeds)} seeds'] * (len(seeds) > 1)
   sources = {s: None for t in trainings for s in t.config.get('source', [])}
+  parts += ["also by the authors' recipe"] * any(
+    t.config.get('recipe') == 'release' for t in trainings
+  )
   parts += [f'trained on {" and ".join(SOURCES.get(s, s) for s in sources)} alone'] * bool(sources)
   return ', '.join(parts)
 

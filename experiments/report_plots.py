@@ -50,8 +50,9 @@ _COLORS = {
     )
   ),
 }
+LONG = 40  # characters: names of that length stand in one column
 _BY_TITLE = {protocol.METHODS[m].title: c for m, c in _COLORS.items()}
-_SERIES = ('#2f6fb5', '#e0893a', '#55a06c', '#9a6fb5')
+_SERIES = ('#2f6fb5', '#e08a3c', '#5aa072', '#9a6fb5', '#c2504a', '#7a7a7a', '#b59a2f')
 _OTHERS = ('#3d9a9a', '#b5567a', '#7a7a3a')
 
 
@@ -133,16 +134,19 @@ def differences(
     caption: below it.
   """
   series = list(dict.fromkeys(s for by_series in panels.values() for s in by_series))
-  height = max(len(c) for by_series in panels.values() for c in by_series.values())
+  places = {title: _places(by_series) for title, by_series in panels.items()}
+  height = 0.19 * max(sum(max(len(p), 2) for p in found.values()) for found in places.values())
+  columns = 1 if max(map(len, series)) > LONG else 3
+  legend = 0.2 * -(-len(series) // columns) * (len(series) > 1)
   with matplotlib.rc_context(_RC):
-    size = (9, 0.9 + 0.32 * height + 0.22 * (len(series) > 1))
+    size = (9, 1 + height + legend)
     figure = matplotlib.figure.Figure(figsize=size, layout='constrained')
     all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, by_series) in zip(all_axes, panels.items(), strict=True):
-      others = list(dict.fromkeys(c.other for found in by_series.values() for c in found))
+      others = [*places[title]]
       for label, found in by_series.items():
         n = series.index(label)
-        at = np.array([others.index(c.other) for c in found]) + (n - (len(series) - 1) / 2) * 0.26
+        at = [others.index(c.other) + places[title][c.other][label] for c in found]
         value, error = np.array([(c.difference, c.error) for c in found]).T
         style = {'color': _SERIES[n % len(_SERIES)], 'markersize': 4.5, 'elinewidth': 1.4}
         axes.errorbar(value, at, xerr=error, fmt='o', label=label, **style)
@@ -151,13 +155,28 @@ def differences(
       axes.axvline(0, color=INK, linewidth=0.8)
       axes.set_yticks(range(len(others)), others)
       axes.set_ylim(len(others) - 0.5, -0.5)
-      axes.set_title(title, loc='left')
+      axes.set_title(title.replace(': ', ':\n', 1), loc='left')
       axes.tick_params('y', length=0)
       axes.spines['left'].set_visible(False)
       axes.grid(axis='x', alpha=0.18, color=INK, linewidth=0.6)
     if len(series) > 1:
-      figure.legend(*all_axes[0].get_legend_handles_labels(), loc='outside lower left', ncols=3)
+      found = [a.get_legend_handles_labels() for a in all_axes]
+      handles = {label: h for hs, labels in found for h, label in zip(hs, labels, strict=True)}
+      ordered = [handles[s] for s in series]
+      figure.legend(ordered, series, loc='outside lower left', ncols=columns)
     return to_picture(figure, name, caption)
+
+
+def _places(by_series):
+  """How far from its method's line each series stands, by method and series."""
+  found: dict[str, list[str]] = {}
+  for label, comparisons in by_series.items():
+    for c in comparisons:
+      found.setdefault(c.other, []).append(label)
+  return {
+    other: {s: (n - (len(own) - 1) / 2) * 0.8 / max(len(own), 3) for n, s in enumerate(own)}
+    for other, own in found.items()
+  }
 
 
 def ablation(parts: Mapping[str, Lines], name: str, caption: str) -> Picture:
