@@ -52,7 +52,7 @@ _COLORS = {
 }
 LONG = 40  # characters: names of that length stand in one column
 _BY_TITLE = {protocol.METHODS[m].title: c for m, c in _COLORS.items()}
-_SERIES = ('#2f6fb5', '#e08a3c', '#5aa072', '#9a6fb5', '#c2504a', '#7a7a7a', '#b59a2f')
+_SERIES = ('#2f6fb5', '#e0893a', '#55a06c', '#9a6fb5', '#c2504a', '#7a7a7a', '#b59a2f')
 _OTHERS = ('#3d9a9a', '#b5567a', '#7a7a3a')
 
 
