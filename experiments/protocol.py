@@ -255,10 +255,9 @@ def predict(
   """What a method makes of views [V, H, W, 4] in [0, 1] of a data set."""
   own = METHODS[method]
   shape, color, threshold, alpha = networks
-  size, azimuths = manifest.grid_size, manifest.azimuths if own.carve else ()
-  options = {'flip': own.flip, 'carve': azimuths, 'grid_size': size}
-  scores = methods.score(shape.kind, shape.variables, views, **options)
-  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip, 'grid_size': size}
+  scores = scoring.score_views(manifest, shape, views, flip=own.flip, carve=own.carve)
+  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip}
+  options['grid_size'] = manifest.grid_size
   colors = methods.colors(color.kind, color.variables, views, **options)
   return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from cvn import checkpoint, grid, methods, metrics, networks
-from cvn.dataset import Dataset, Record, read_record
+from cvn.dataset import Dataset, Manifest, Record, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 
@@ -63,6 +63,23 @@ def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
   return grid.to_voxels(record.surface_index, record.surface_color / 255, size=grid_size)
 
 
+def score_views(
+  manifest: Manifest, shape: Network, views: np.ndarray, *, flip: bool, carve: bool
+) -> np.ndarray:
+  """How occupied voxels are [V, X, Y, Z], of views [V, H, W, 4] in [0, 1] of a data set.
+
+  Args:
+    manifest: of the data set.
+    shape: the network that scores voxels.
+    views: [V, H, W, 4].
+    flip: whether to take means with the mirrored views, see cvn.methods.
+    carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
+  """
+  azimuths = manifest.azimuths if carve else ()
+  options = {'flip': flip, 'carve': azimuths, 'grid_size': manifest.grid_size}
+  return methods.score(shape.kind, shape.variables, views, **options)
+
+
 def threshold_curve(
   dataset: Dataset,
   rows: Iterable[int],
@@ -85,13 +102,12 @@ def threshold_curve(
   """
   candidates = CHANNELS if shape.kind == 'r2n2' else PROBABILITIES
   size = dataset.manifest.grid_size
-  options = {'flip': flip, 'carve': dataset.manifest.azimuths if carve else (), 'grid_size': size}
   curves = []
   for row in rows:
     record = read_record(dataset, row)
     true = to_voxels(record, size).occupancy
     views = record.views.astype(np.float32) / 255
-    scores = methods.score(shape.kind, shape.variables, views, **options)
+    scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
     curves += [metrics.iou_at(s, true, candidates) for s in scores]
   return candidates, np.mean(curves, axis=0)
 
@@ -132,9 +148,8 @@ def choose_alpha(
     views = record.views.astype(np.float32) / 255
     occupied = [true.occupancy] * len(views)
     if shape:
-      azimuths = dataset.manifest.azimuths if carve else ()
-      options = {'flip': flip, 'carve': azimuths, 'grid_size': size}
-      occupied = methods.score(shape.kind, shape.variables, views, **options) >= threshold
+      scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
+      occupied = scores >= threshold
     partners = [metrics.aligned_colors(o, true) for o in occupied]
     options = {'flip': flip, 'grid_size': size}
     blends = methods.blends(color.kind, color.variables, views, alphas, **options)
@@ -180,9 +195,7 @@ def score_model(
   views = record.views.astype(np.float32) / 255
   scores = colors = None
   if shape:
-    azimuths = dataset.manifest.azimuths if carve else ()
-    options = {'flip': flip, 'carve': azimuths, 'grid_size': size}
-    scores = methods.score(shape.kind, shape.variables, views, **options)
+    scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
   if color:
     options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
     colors = methods.colors(color.kind, color.variables, views, **options)
