@@ -48,7 +48,8 @@ SETTINGS = (
 )
 
 _COMPARISON = re.compile(
-  r'(.+) - (.+): (\S+) ± (\S+) over (\d+) models, above in (\S+%)(?:; by seed (.+))?'
+  r'(.+) - (.+): (\S+) ± (\S+) over (\d+) models, median (\S+), above in (\S+%)'
+  r'(?:; by seed (.+))?'
 )
 
 
@@ -120,9 +121,10 @@ def read_comparison(line: str) -> Comparison:
   found = _COMPARISON.fullmatch(line)
   if not found:
     raise ValueError(line)
-  better, other, difference, error, models, above, seeds = found.groups()
+  better, other, difference, error, models, median, above, seeds = found.groups()
   by_seed = [float(x) for x in seeds.split(', ')] if seeds else []
-  return Comparison(better, other, float(difference), float(error), int(models), above, by_seed)
+  numbers = float(difference), float(error), int(models), float(median)
+  return Comparison(better, other, *numbers, above, by_seed)
 
 
 def read_people(path: str) -> People:

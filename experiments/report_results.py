@@ -41,6 +41,7 @@ class Comparison(NamedTuple):
   difference: float
   error: float  # standard error over models
   models: int
+  median: float  # of the models' differences
   above: str  # share of the models, such as '71%'
   seeds: list[float]  # the difference by seed; empty for one seed
 

@@ -141,14 +141,15 @@ def _compared(caption: str, rows: Sequence[tuple[str, Comparison, str]]) -> Tabl
   seeds = max(len(c.seeds) for _, c, _ in rows)
 
   def cells(c, form):
-    signed = [f'{x:+{form}}'.replace('-', '−') for x in (c.difference, *c.seeds)]
+    signed = [f'{x:+{form}}'.replace('-', '−') for x in (c.difference, c.median, *c.seeds)]
     first = [Cell(signed[0], f'± {c.error:{form}}'), Cell('', verdict(c))]
-    return [*first, Cell(c.above.replace('%', ' %')), Cell(str(c.models)), *map(Cell, signed[1:])]
+    told = [signed[1], c.above.replace('%', ' %'), str(c.models), *signed[2:]]
+    return [*first, *map(Cell, told)]
 
   return Table(
     caption,
-    [('', 4), ('by seed', seeds)] if seeds else [],
-    ['difference', '', 'above in', 'of models', *([''] * seeds)],
+    [('', 5), ('by seed', seeds)] if seeds else [],
+    ['difference', '', 'median', 'above in', 'of models', *([''] * seeds)],
     [(label, cells(c, form)) for label, c, form in rows],
   )
 

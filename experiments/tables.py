@@ -127,7 +127,8 @@ def compare(better: Row, other: Row, form: str) -> str:
   seeds = '' if len(by_seed) < 2 else f'; by seed {", ".join(f"{d:+{form}}" for d in by_seed)}'
   return (
     f'{better.title} - {other.title}: {np.mean(differences):+{form}} ± {error:{form}} over'
-    f' {len(differences)} models, above in {np.mean(differences > 0):.0%}{seeds}'
+    f' {len(differences)} models, median {np.median(differences):+{form}}, above in'
+    f' {np.mean(differences > 0):.0%}{seeds}'
   )
 
 

@@ -82,18 +82,18 @@ def test_same_order_as_in_the_paper():
   [(0.03, 0.01, 'above'), (-0.03, 0.01, 'below'), (0.02, 0.01, 'not told apart')],
 )
 def test_differences_say_whether_they_are_more_than_chance(difference, error, verdict):
-  compared = Comparison('Ours', 'Other', difference, error, 16, '75%', [])
+  compared = Comparison('Ours', 'Other', difference, error, 16, 0.125, '75%', [])
   (table,) = report_tables.differences_table([compared], '.3f')
   ((label, cells),) = table.rows
   assert label == '− Other' and cells[1] == Cell('', verdict)
   assert cells[0] == Cell(f'{difference:+.3f}'.replace('-', '−'), '± 0.010')
-  assert [c.text for c in cells[2:]] == ['75 %', '16']
+  assert [c.text for c in cells[2:]] == ['+0.125', '75 %', '16']
   assert table.groups == []
 
 
 def test_the_ablation_tells_gains_over_the_first_line():
   steps = Lines([line('paper', 0.2, 0.2), line('+ x', 0.25, 0.2)], [])
-  gain = Comparison('best', 'paper', 0.03, 0.01, 16, '75%', [])
+  gain = Comparison('best', 'paper', 0.03, 0.01, 16, 0.02, '75%', [])
   table, compared = report_tables.ablation_table(
     {'val iou': steps, 'test psnr_rgb': steps._replace(comparisons=[gain])}, 'steps'
   )

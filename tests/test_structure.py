@@ -41,8 +41,8 @@ def test_numbers_stand_beside_the_papers(given, capsys, models):
   assert '| | car | zebra | avg. |' in text
   assert '| Separate networks (proposed) | 0.500 ± 0.000 [0.395] | 0.500 | 0.500 |' in text
   assert '| Unified network | 0.250 ± 0.000 [0.386] | 0.250 | 0.250 |' in text
-  assert 'Unified network: +0.250 ± 0.000 over 3 models, above in 100%' in text
-  assert 'Unified network: -1.00 ± 0.00 over 3 models, above in 0%' in text
+  assert 'Unified network: +0.250 ± 0.000 over 3 models, median +0.250, above in 100%' in text
+  assert 'Unified network: -1.00 ± 0.00 over 3 models, median -1.00, above in 0%' in text
   with open(os.path.join(given['workdir'], 'tables', 'structure.json')) as f:
     table = json.load(f)
   separate, unified = table['iou']['rows']

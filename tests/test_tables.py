@@ -49,7 +49,8 @@ def test_methods_are_compared_model_by_model():
   )
   line = tables.compare(better, other, '.3f')
   assert line == (
-    'ours - other: +0.125 ± 0.000 over 4 models, above in 100%; by seed +0.125, +0.125'
+    'ours - other: +0.125 ± 0.000 over 4 models, median +0.125, above in 100%;'
+    ' by seed +0.125, +0.125'
   )
 
 
@@ -143,7 +144,7 @@ def test_the_ablation_tells_gains_on_val_and_test(evaluated, tmp_path, capsys):
   # The fake numbers are the length of a method's name, plus a quarter.
   assert '| paper | 11.250 | 11.25 | 11.250 | 11.25 |' in told
   assert '| + threshold chosen on val | 14.250 (+27%) | 14.25 (+3.00 dB) |' in told
-  assert 'IoU: best - paper: -7.000 ± 0.000 over 3 models, above in 0%' in told
+  assert 'IoU: best - paper: -7.000 ± 0.000 over 3 models, median -7.000, above in 0%' in told
   table = json.loads((tmp_path / 'tables' / 'ablation.json').read_text())
   assert len(table['test']['psnr_rgb']) == len(ablation.STEPS)
 
