@@ -63,7 +63,7 @@ def run(f: flags.FlagValues) -> None:
     f'{pictures.say_choice(f)} {pictures.say_training(f)} Volumes are seen from'
     f' {pictures.SIDE}° beside the input view, results also from further round.'
   )
-  facts = {'figure_seed': f.figure_seed, **pictures.describe(f, examples, (BASELINE, METHOD))}
+  facts = pictures.describe_choice(f) | pictures.describe(f, examples, (BASELINE, METHOD))
   pictures.write(f, figures.stack([image, draw_legend(f.tile // 2)]), caption, facts)
 
 

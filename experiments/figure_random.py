@@ -43,7 +43,7 @@ def run(f: flags.FlagValues) -> None:
   examples = pictures.choose(f, dataset)
   image = pictures.draw_results(f, dataset, examples, f.methods)
   caption = f'{pictures.say_choice(f)} {pictures.say_training(f)}'
-  facts = {'figure_seed': f.figure_seed, **pictures.describe(f, examples, f.methods)}
+  facts = pictures.describe_choice(f) | pictures.describe(f, examples, f.methods)
   pictures.write(f, image, caption, facts)
 
 

@@ -164,6 +164,11 @@ def draw_flow_code(size: int) -> np.ndarray:
   return figures.to_uint8(figures.flow_color_code(np.stack(np.meshgrid(ticks, ticks), -1)))
 
 
+def describe_choice(f: flags.FlagValues) -> dict[str, int]:
+  """The flags that chose models and views, as JSON values."""
+  return {'figure_seed': f.figure_seed, 'per_category': f.per_category}
+
+
 def say_choice(f: flags.FlagValues) -> str:
   """How the models were chosen, for a caption."""
   return f'Test models and views drawn at random, not chosen: seed {f.figure_seed}.'

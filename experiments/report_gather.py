@@ -288,7 +288,7 @@ def _in(path, *names):
 
 
 def _settings(table):
-  return {k: table[k] for k in SETTINGS}
+  return {k: table[k] for k in SETTINGS} | {k: table[k] for k in ('methods',) if k in table}
 
 
 def _lines(part) -> Lines:

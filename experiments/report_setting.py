@@ -1,5 +1,6 @@
 """What the report says of how its numbers were made, beside how the paper's were."""
 
+import importlib
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -7,7 +8,6 @@ from typing import Any
 from absl import flags
 
 from cvn.dataset import to_url
-from experiments import protocol
 from experiments.differences import PAPER, PAPER_VIEWS
 from experiments.report_blocks import Block, Cell, Heading, Missing, Table
 from experiments.report_facts import Data, finished_in, shorten
@@ -126,17 +126,16 @@ def collection(folder: str) -> str:
 
 
 def command(program: str, settings: dict[str, Any], workdir: str) -> str:
-  """A program of tables or figures with the shared flags that are not as they are by default."""
+  """A program of tables or figures with the flags that are not as they are by default."""
   f = flags.FlagValues()
-  protocol.define_flags(f)
+  importlib.import_module(program).define_flags(f)
   parts = [f'python -m {program}', f'--data={settings["data"]}', f'--workdir={workdir}']
   for name in f:
     value = settings.get(name, f[name].default)
+    value = [*value] if isinstance(value, dict) else value  # such as methods and their titles
     if name not in ('data', 'workdir') and value != f[name].default:
       text = ','.join(map(str, value)) if isinstance(value, list) else value
       parts.append(f'--{name}' if value is True else f'--{name}={text}')
-  if settings.get('figure_seed'):
-    parts.append(f'--figure_seed={settings["figure_seed"]}')
   return ' '.join(parts)
 
 

@@ -48,7 +48,7 @@ def run(f: flags.FlagValues) -> None:
   tables.finish(f, 'structure', table)
   image = pictures.draw_results(f, dataset, examples, (SEPARATE, UNIFIED))
   caption = f'{pictures.say_choice(f)} {pictures.say_training(f)}'
-  facts = {'figure_seed': f.figure_seed, **pictures.describe(f, examples, (SEPARATE, UNIFIED))}
+  facts = pictures.describe_choice(f) | pictures.describe(f, examples, (SEPARATE, UNIFIED))
   pictures.write(f, image, caption, facts)
 
 

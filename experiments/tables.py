@@ -154,7 +154,9 @@ def finish(f: flags.FlagValues, name: str, table: Mapping[str, Any]) -> None:
   path = os.path.join(f.workdir, 'tables', f'{name}.json')
   found = differences.find_differences(f)
   with atomic_write(path) as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps({**describe(f), 'differences': found, **table}, indent=1) + '\n')
+    own = {'methods': f.methods} if 'methods' in f else {}
+    told = {**describe(f), **own, 'differences': found, **table}
+    out.write(json.dumps(told, indent=1) + '\n')
   print(f'\n{differences.to_text(found)}\n\n{path}')
 
 

@@ -141,10 +141,16 @@ def test_places_are_shortened(line, short):
 
 
 def test_commands_have_the_flags_that_differ():
-  found = report_setting.command('p', workdirs.settings(seeds=['0', '1'], quick=True), 'W')
+  found = report_setting.command(
+    'experiments.figure_random',
+    workdirs.settings(seeds=['0', '1'], quick=True)
+    | {'methods': {'flow': 'a title', 'best': 'another'}, 'figure_seed': 3, 'per_category': 2},
+    'W',
+  )
   assert found == (
-    'python -m p --data=DATA --workdir=W --quick --models=all --seeds=0,1 --epochs=8'
-    ' --batch_size=2 --learning_rate=0.001 --fresh_statistics=20 --dtype=mixed'
+    'python -m experiments.figure_random --data=DATA --workdir=W --quick --models=all --seeds=0,1'
+    ' --epochs=8 --batch_size=2 --learning_rate=0.001 --fresh_statistics=20 --dtype=mixed'
+    ' --figure_seed=3 --methods=flow,best'
   )
 
 
