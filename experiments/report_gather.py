@@ -139,11 +139,15 @@ def read_people(path: str) -> People:
       {k: _estimate(found[k]) for k in ('iou', 'baseline_iou', 'psnr_rgb', 'psnr_ycbcr')},
       *(_estimate(found[k]) for k in ('sides', 'front_and_back', 'difference')),
       [
-        (f'{g["lowest"]} to {g["highest"]}', g['views'], g['models'], _estimate(g['iou']))
+        (_range(g['lowest'], g['highest']), g['views'], g['models'], _estimate(g['iou']))
         for g in found['by_complexity']
       ],
       _estimate(found['correlation']),
     )
+
+
+def _range(low: int, high: int) -> str:
+  return f'{low}' if low == high else f'{low} to {high}'
 
 
 def read_trainings(path: str) -> list[Training]:
