@@ -24,7 +24,7 @@ import math
 from typing import Any
 
 import numpy as np
-from absl import flags
+from absl import flags, logging
 from tqdm import tqdm
 
 from cvn import baselines, blending, data, environment, errors, methods, metrics
@@ -34,6 +34,7 @@ from cvn.files import atomic_write
 from experiments import scoring
 from experiments.scoring import METRICS, Baseline, Network
 
+UNKNOWN_CAMERA = 'im2avatar_release'  # the source of models whose views have another camera
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
 
 
@@ -91,6 +92,11 @@ def run(f: flags.FlagValues) -> int:
   shape = scoring.load(f.shape, methods.SHAPE_KINDS, dataset) if f.shape else None
   color = scoring.load(f.color, methods.COLOR_KINDS, dataset) if f.color else None
   models = dataset.manifest.models
+  if f.carve and any(models[row].source == UNKNOWN_CAMERA for row in rows):
+    logging.warning(
+      "--carve sees the views as this project's camera does; that of the authors' released views is"
+      ' not known: shapes may lose what they should keep'
+    )
   # The file's place is tried before the work, not after it.
   with atomic_write(f.json) if f.json else contextlib.nullcontext() as temporary:
     means = find_baselines(dataset, rows) if f.baselines else {}

@@ -300,6 +300,15 @@ def test_shapes_may_be_carved_by_the_silhouettes(tmp_path, given):
   assert report['carve'] and report['networks']['total']['iou'] != plain['iou']
 
 
+def test_carving_warns_where_the_camera_is_not_known(tmp_path, given, monkeypatch, caplog):
+  monkeypatch.setattr(program, 'UNKNOWN_CAMERA', 'synthetic')
+  _evaluate(tmp_path, '--carve', data=given['data'], shape=given['shape'])
+  assert 'camera' in caplog.text
+  caplog.clear()
+  _evaluate(tmp_path, data=given['data'], shape=given['shape'])
+  assert 'camera' not in caplog.text
+
+
 def test_models_of_one_source(tmp_path, given):
   with pytest.raises(UserError, match="no source 'shapenet'; it has synthetic"):
     _run('--source=shapenet', **given)
