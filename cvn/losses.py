@@ -49,18 +49,6 @@ def cross_entropy(logits: jax.Array, occupancy: jax.Array) -> jax.Array:
   return jnp.mean(jax.nn.softplus(jnp.where(occupancy.astype(bool), -logits, logits)))
 
 
-def surface_squared(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax.Array:
-  """Mean squared Euclidean distance over surface voxels, which is what PSNR is the logarithm of.
-
-  Args:
-    prediction: [..., C].
-    target: [..., C].
-    mask: [...] bool, the surface voxels.
-  """
-  squared = jnp.sum(_masked_difference(prediction, target, mask) ** 2)
-  return squared / jnp.maximum(jnp.sum(mask), 1)
-
-
 def surface_l2(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax.Array:
   """Mean Euclidean distance over surface voxels (equations 3, 5 and 7).
 

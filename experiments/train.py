@@ -47,7 +47,6 @@ SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
 SURFACE_DISTANCES = {
   'l2': losses.surface_l2,
   'l1': losses.surface_l1,
-  'squared': losses.surface_squared,
 }
 DTYPES = ('float32', 'mixed')
 HEADS = ('dense', 'surface')

@@ -143,11 +143,3 @@ def test_shapes_that_do_not_fit_are_named():
     losses.surface_l2(jnp.zeros((2, 3)), jnp.zeros((2, 3)), jnp.ones(3, bool))
   with pytest.raises(ValueError, match='differ'):
     losses.joint_l2(jnp.zeros((2, 3)), jnp.zeros((2, 1)))
-
-
-def test_squared_distance_is_that_of_the_surface():
-  prediction, target = _random((3, 5, 3)), _random((3, 5, 3), 1)
-  mask = _random((3, 5), 2) > 0
-  expected = ((prediction - target)[mask] ** 2).sum(-1).mean()
-  np.testing.assert_allclose(losses.surface_squared(prediction, target, mask), expected, rtol=1e-5)
-  assert losses.surface_squared(prediction, target, np.zeros_like(mask)) == 0

@@ -328,10 +328,10 @@ def test_flags_change_the_recipe():
   f(['program', *needed, '--recipe=release', '--learning_rate=0.5', '--schedule=cosine'])
   recipe = program.make_recipe(f)
   assert recipe == RELEASE._replace(learning_rate=0.5, schedule=cosine)
-  f(['program', '--mirror', '--shape_loss=cross_entropy', '--surface_distance=squared'])
+  f(['program', '--mirror', '--shape_loss=cross_entropy', '--surface_distance=l1'])
   recipe = program.make_recipe(f)
   assert recipe.mirror and recipe.shape_loss is losses.cross_entropy
-  assert recipe.surface_distance is losses.surface_squared
+  assert recipe.surface_distance is losses.surface_l1
 
 
 def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
