@@ -56,7 +56,7 @@ def carve(
     return (mean, jnp.where(likeliest[:, None, None, None], left, best)), None
 
   pixels = _project(probability, foreground, azimuths)
-  weights = azimuth_weights(probability, foreground, azimuths).T
+  weights = _weigh(probability, foreground, pixels)
   likeliest = jax.nn.one_hot(jnp.argmax(weights, axis=0), len(weights), axis=0, dtype=bool)
   none = jnp.zeros_like(probability)
   (mean, best), _ = jax.lax.scan(add, (none, none), (pixels, weights, likeliest))
@@ -72,14 +72,18 @@ def azimuth_weights(
   Of each azimuth counts the IoU of two silhouettes: the foreground, and that of the voxels with a
   probability of at least 0.8 seen from there.
   """
+  return _weigh(probability, foreground, _project(probability, foreground, azimuths)).T
+
+
+def _weigh(probability, foreground, pixels):
+  """The weights [A, B] of the azimuths from which voxels project to `pixels`."""
 
   def agree(pixels):
     seen = _close(_draw(probability >= OCCUPIED, pixels, foreground.shape[1:]))
     union = jnp.sum(seen | foreground, (1, 2))
     return jnp.sum(seen & foreground, (1, 2)) / jnp.maximum(union, 1)
 
-  agreement = jax.lax.map(agree, _project(probability, foreground, azimuths))
-  return jax.nn.softmax(SHARPNESS * agreement.T, axis=1)
+  return jax.nn.softmax(SHARPNESS * jax.lax.map(agree, pixels), axis=0)
 
 
 def _project(probability, foreground, azimuths):

@@ -157,7 +157,9 @@ def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None)
   progress = tqdm(
     _validation_rows(f, dataset, 'threshold'), desc='threshold on val', unit='model', disable=None
   )
-  return scoring.choose_threshold(dataset, progress, shape, flip=f.flip, carve=f.carve)
+  options = {'flip': f.flip, 'carve': f.carve}
+  candidates, curve = scoring.threshold_curve(dataset, progress, shape, **options)
+  return float(candidates[np.argmax(curve)])
 
 
 def find_alpha(

@@ -31,6 +31,7 @@ from experiments.report_results import (
   Tabled,
   Training,
   Workdir,
+  span,
 )
 from experiments.stages import read_bytes, read_json
 
@@ -68,7 +69,11 @@ def read_workdirs(paths: Sequence[str]) -> list[Workdir]:
   told = [w.label for w in found]
   labels: list[str] = []
   for w in found:
-    label = f'{w.label}, {_epochs(w)}' if told.count(w.label) > 1 else w.label
+    label = (
+      f'{w.label}, {span([round(t.epochs) for t in w.trainings])} epochs'
+      if told.count(w.label) > 1
+      else w.label
+    )
     labels.append(_distinct(label, labels))
   return [w._replace(label=label) for w, label in zip(found, labels, strict=True)]
 
@@ -139,15 +144,11 @@ def read_people(path: str) -> People:
       {k: _estimate(found[k]) for k in ('iou', 'baseline_iou', 'psnr_rgb', 'psnr_ycbcr')},
       *(_estimate(found[k]) for k in ('sides', 'front_and_back', 'difference')),
       [
-        (_range(g['lowest'], g['highest']), g['views'], g['models'], _estimate(g['iou']))
+        (span([g['lowest'], g['highest']]), g['views'], g['models'], _estimate(g['iou']))
         for g in found['by_complexity']
       ],
       _estimate(found['correlation']),
     )
-
-
-def _range(low: int, high: int) -> str:
-  return f'{low}' if low == high else f'{low} to {high}'
 
 
 def read_trainings(path: str) -> list[Training]:
@@ -275,11 +276,6 @@ def _label(tables: Mapping[str, Tabled], trainings: Sequence[Training]) -> str:
   )
   parts += [f'trained on {" and ".join(SOURCES.get(s, s) for s in sources)} alone'] * bool(sources)
   return ', '.join(parts)
-
-
-def _epochs(w: Workdir) -> str:
-  trained = sorted({round(t.epochs) for t in w.trainings})
-  return f'{" to ".join(map(str, dict.fromkeys([*trained[:1], *trained[-1:]])))} epochs'
 
 
 def _files(path: str, folder: str, suffix: str) -> dict[str, str]:

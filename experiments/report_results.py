@@ -1,5 +1,6 @@
 """What the report knows of each --workdir: the results of other programs, read and checked."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from cvn.intervals import Estimate
@@ -123,3 +124,11 @@ class Workdir(NamedTuple):
   figures: dict[str, Figure]  # by name
   study: dict[str, Figure]  # preferences, standin
   seconds: dict[str, float]  # by command, in their order
+
+
+def span(values: Sequence[float]) -> str:
+  """The lowest and the highest of some numbers, or the one that they are, in words."""
+  if not values:
+    return 'not told'
+  low, high = min(values), max(values)
+  return f'{low:,}' if low == high else f'{low:,} to {high:,}'

@@ -12,7 +12,7 @@ from experiments.differences import PAPER, PAPER_VIEWS
 from experiments.report_blocks import Block, Cell, Heading, Missing, Table
 from experiments.report_facts import Data, finished_in, shorten
 from experiments.report_gather import read_seconds
-from experiments.report_results import SOURCES, Workdir
+from experiments.report_results import SOURCES, Workdir, span
 
 # The program of each table or figure, by the name of what it leaves.
 PROGRAMS = {
@@ -73,7 +73,7 @@ def abstract(workdirs: Sequence[Workdir], data: dict[str, Data]) -> list[str]:
   seen = [t.samples for t in trainings]
   if seen and max(seen) < PAPER_VIEWS[0]:
     limits.append(
-      f'a network has seen {_span(seen)} views, where one of the paper’s has seen'
+      f'a network has seen {span(seen)} views, where one of the paper’s has seen'
       f' {PAPER_VIEWS[0]:,} to {PAPER_VIEWS[1]:,}'
     )
   paragraphs = [said]
@@ -161,12 +161,12 @@ def _protocol(w: Workdir, data: dict[str, Data]) -> dict[str, str]:
   return {
     'data': '; '.join(_sources(_all(d)) for d in own) or 'not there',
     'networks': w.label,
-    'models to train on': _span([c['models'] for c in configs if 'models' in c]) + ' a network',
+    'models to train on': span([c['models'] for c in configs if 'models' in c]) + ' a network',
     'models to test on': _count(judged.values()) or 'not judged yet',
-    'epochs': _span([round(t.epochs) for t in w.trainings]),
+    'epochs': span([round(t.epochs) for t in w.trainings]),
     'batch': each('batch_size'),
     'learning rate': each('learning_rate', lambda x: 'the recipe’s' if x is None else f'{x:g}'),
-    'views seen by a network': _span([t.samples for t in w.trainings]),
+    'views seen by a network': span([t.samples for t in w.trainings]),
     'arithmetic': each('dtype'),
     'BatchNorm at test time': each(
       'fresh_statistics', lambda n: f'of {n} fresh batches' if n else 'running averages'
@@ -191,10 +191,3 @@ def _count(categories: Iterable[str]) -> str:
   for c in categories:
     counts[c] = counts.get(c, 0) + 1
   return ', '.join(f'{n} {c}' for c, n in counts.items())
-
-
-def _span(values: Sequence[float]) -> str:
-  if not values:
-    return 'not told'
-  low, high = min(values), max(values)
-  return f'{low:,}' if low == high else f'{low:,} to {high:,}'

@@ -112,19 +112,6 @@ def threshold_curve(
   return candidates, np.mean(curves, axis=0)
 
 
-def choose_threshold(
-  dataset: Dataset,
-  rows: Iterable[int],
-  shape: Network,
-  *,
-  flip: bool = False,
-  carve: bool = False,
-) -> float:
-  """The threshold of the best mean IoU; arguments as of `threshold_curve`."""
-  candidates, curve = threshold_curve(dataset, rows, shape, flip=flip, carve=carve)
-  return float(candidates[np.argmax(curve)])
-
-
 def choose_alpha(
   dataset: Dataset,
   rows: Iterable[int],
