@@ -19,7 +19,7 @@ import sys
 
 import jax
 
-from cvn import native
+from cvn.ops import native
 
 
 def prepare() -> None:

@@ -4,7 +4,7 @@ Every layer of the authors' program has this form, the last ones included (epsil
 batch variance). In training the collection `batch_stats` that `apply` returns holds the statistics
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
 A volume goes from layer to layer as the product left it, with what is still to be done: whoever
-reads it does that on the way (cvn/deconv.py).
+reads it does that on the way (cvn/ops/deconv.py).
 """
 
 from typing import Any, NamedTuple
@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from cvn import conv2d, deconv
-from cvn.normalization import (
+from cvn.ops import conv2d, deconv
+from cvn.ops.normalization import (
   ELU,
   IDENTITY,
   Activation,

@@ -15,7 +15,7 @@ from flax import linen as nn
 from cvn.camera import IMAGE_SIZE
 from cvn.grid import GRID_SIZE
 from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
-from cvn.normalization import IDENTITY, SIGMOID, Activation
+from cvn.ops.normalization import IDENTITY, SIGMOID, Activation
 
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
 DECODER = (64, 32, 32)  # channels of the deconvolutions before the heads

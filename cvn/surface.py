@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cvn import phases
 from cvn.networks import ColorVolumes
-from cvn.normalization import ELU, SIGMOID, affine
+from cvn.ops import matmul
+from cvn.ops.normalization import ELU, SIGMOID, affine
 
 # Lists of near cells have room for one of these shares of all cells: the first that suffices.
 SHARES = (1 / 10, 1 / 8, 5 / 32, 1 / 5, 1 / 4, 1 / 3, 1 / 2, 1)
@@ -128,12 +128,12 @@ def color_heads(
 
   def deconv(p):
     kernel = p['kernel']
-    return product(read, phases.deconv_matrix(kernel)).reshape(-1, kernel.shape[-1])
+    return product(read, matmul.deconv_matrix(kernel)).reshape(-1, kernel.shape[-1])
 
   def head(p):
     hidden, hidden_statistics = _finish(deconv(p['deconv']), 8 * places.cells, p['deconv'], ELU)
     kernel = p['conv']['kernel']
-    given = product(hidden.reshape(len(read), -1), phases.conv_matrix(kernel))
+    given = product(hidden.reshape(len(read), -1), matmul.conv_matrix(kernel))
     out = at_surface(given.reshape(-1, kernel.shape[-1]), places.reaching)
     out, statistics = _finish(out, voxels, p['conv'], SIGMOID)
     return out, {'deconv': hidden_statistics, 'conv': statistics}

@@ -25,10 +25,11 @@ import numpy as np
 import optax
 from absl import flags
 
-from cvn import blending, deconv, errors, layers, losses, metrics, normalization, sampler
+from cvn import blending, errors, layers, losses, metrics, sampler
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
+from cvn.ops import deconv, normalization
 from cvn.recipe import RELEASE
 from experiments import golden as files
 

@@ -16,7 +16,7 @@ import numpy as np
 from cvn.camera import IMAGE_SIZE
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
-from cvn.normalization import EPSILON
+from cvn.ops.normalization import EPSILON
 
 BATCH = 4
 STRIDE = 7  # between the stored voxels of a network's outputs

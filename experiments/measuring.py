@@ -23,13 +23,14 @@ import jax
 import jaxlib
 import numpy as np
 
-from cvn import data, deconv, environment, native, reconstruct, train
+from cvn import data, environment, reconstruct, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from cvn.machine import processor
+from cvn.ops import deconv, native
 from cvn.recipe import PAPER
 from experiments import layer_table
 from experiments import train as program

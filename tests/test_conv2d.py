@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cvn import conv2d, native
+from cvn.ops import conv2d, native
 
 # [B, H, W, in], size and out of the kernel.
 SHAPES = [

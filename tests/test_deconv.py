@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from jax import lax
 
-from cvn import deconv, layers, native
-from cvn.normalization import ELU, IDENTITY, SIGMOID
+from cvn import layers
+from cvn.ops import deconv, native
+from cvn.ops.normalization import ELU, IDENTITY, SIGMOID
 
 # [B, X, Y, Z, in] and out.
 SHAPES = [

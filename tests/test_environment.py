@@ -8,7 +8,8 @@ import sys
 import jax
 import pytest
 
-from cvn import environment, native
+from cvn import environment
+from cvn.ops import native
 
 # Page faults of touching 64 MiB that were freed just before.
 FAULTS = """

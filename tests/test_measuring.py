@@ -7,8 +7,8 @@ import jax
 import pytest
 import synthetic
 
-from cvn import deconv
 from cvn.errors import UserError
+from cvn.ops import deconv
 from experiments import measuring
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
-from cvn import conv2d, deconv, layers, native, normalization
+from cvn import layers
+from cvn.ops import conv2d, deconv, native, normalization
 
 HAS_COMPILER = native.available()
 
@@ -45,7 +46,7 @@ def test_a_source_that_does_not_compile_leaves_nothing(tmp_path):
 def run_python(tmp_path, **environment):
   """Takes a gradient in a process of its own; what it prints."""
   code = (
-    'import jax, jax.numpy as jnp; from cvn import conv2d, deconv, layers, native;'
+    'import jax, jax.numpy as jnp; from cvn import layers; from cvn.ops import deconv, native;'
     'x, gain, offset, activation = layers.volume_of(jnp.ones((1, 2, 2, 2, 3)));'
     'f = jax.grad(lambda k: (deconv.deconv(x, gain, offset, k, activation)[0] ** 2).sum());'
     'print(native.available(), float(f(jnp.ones((3, 3, 3, 3, 2))).sum()))'

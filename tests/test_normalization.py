@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from cvn import native, normalization
-from cvn.normalization import ELU, EPSILON, IDENTITY, SIGMOID
+from cvn.ops import native, normalization
+from cvn.ops.normalization import ELU, EPSILON, IDENTITY, SIGMOID
 
 PLAIN = {ELU: jax.nn.elu, SIGMOID: jax.nn.sigmoid, IDENTITY: lambda x: x}
 

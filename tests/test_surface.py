@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
-from cvn import deconv, layers, normalization, surface
+from cvn import layers, surface
 from cvn.grid import PADDING_INDEX
 from cvn.networks import ColorNetwork, ColorVolumes, Trunk
+from cvn.ops import deconv, normalization
 
 GRID = 8
 CHANNELS = {'regressed': (4, 3), 'flow': (2,), 'weight': (3, 1)}  # hidden and last, or last

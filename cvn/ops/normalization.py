@@ -4,8 +4,8 @@ The derivative of each activation here is a function of its output, so what the 
 is the input (the product before it keeps nothing) and the output (the next product needs it
 anyway). Channels are the last axis; statistics are taken over all others.
 
-Volumes are not normalised by a pass of its own: what reads them does it (cvn/deconv.py). Only the
-last map is activated here.
+Volumes are not normalised in a pass of their own: the next operation does it while it reads them
+(deconv.py). Only the last volume is activated here.
 """
 
 import functools
@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cvn import native
+from cvn.ops import dispatch, native
 
 EPSILON = 1e-3  # of the authors' program
 
@@ -112,7 +112,7 @@ def activate(x, gain, offset, activation: Activation):
 
   def kernel(*arrays):
     result = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return native.call('cvn_activated', [result], *arrays, activation=activation.number)[0]
+    return dispatch.call('cvn_activated', [result], *arrays, activation=activation.number)[0]
 
   def loops(*arrays):
     return activated(*arrays, activation)
@@ -130,7 +130,7 @@ def _activate_backward(activation, residuals, dy):
       jax.ShapeDtypeStruct(x.shape, x.dtype),
       jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32),
     ]
-    dx, sums = native.call(
+    dx, sums = dispatch.call(
       'cvn_activated_gradient', results, x, gain, offset, dy,
       volumes=(0, 3), in_place=3, activation=activation.number,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-// The kernels of cvn/native.py, for a CPU: what XLA calls.
+// The kernels of cvn/ops/native.py, for a CPU: what XLA calls.
 //
 // Volumes are [B, X, Y, Z, C] of float32 or bfloat16, kernels [3, 3, 3, in, out] of float32. Sums
 // are made in float32 and longer ones in double. Where a volume is of bfloat16, all factors of a

@@ -1,7 +1,7 @@
 """The compiled kernels of kernels/: built once with the machine's C++ compiler, and kept.
 
-Nothing needs them: where there is no compiler, cvn/deconv.py takes matrix products instead, which
-are several times slower, and one line says so. CVN_KERNELS=off does the same without a word, and
+They are optional: without a compiler, deconv.py takes matrix products instead, which are several
+times slower, and one line says so. CVN_KERNELS=off does the same without a word, and
 CXX names another compiler. The library is kept in $XDG_CACHE_HOME/cvn (~/.cache/cvn), under a name
 that tells of the source, the compiler, the processor and the version of jaxlib.
 """
@@ -9,24 +9,19 @@ that tells of the source, the compiler, the processor and the version of jaxlib.
 import ctypes
 import functools
 import hashlib
-import itertools
 import os
 import pathlib
 import platform
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import jaxlib
 from absl import logging
-from jax.experimental.custom_partitioning import custom_partitioning
-from jax.sharding import NamedSharding, PartitionSpec
 
 SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
-BLOCKS = pathlib.Path(__file__).with_name('blocks.cc')  # of cvn/environment.py
+BLOCKS = pathlib.Path(__file__).parent.with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
@@ -58,66 +53,6 @@ def available() -> bool:
     )
     return False
   return True
-
-
-def call(
-  name: str,
-  results: Sequence[jax.ShapeDtypeStruct],
-  *arrays: jax.Array,
-  volumes: Sequence[int] = (0,),
-  in_place: int | None = None,
-  **attributes,
-) -> Sequence[jax.Array]:
-  """Calls a kernel; it is there on a CPU, where `available`.
-
-  Where a batch is spread over devices, each calls it for its own samples.
-
-  Args:
-    name: one of `KERNELS`.
-    results: their shapes and types; the first axis is the batch's.
-    *arrays: what it takes.
-    volumes: which of them have the batch as first axis, the first among them; all devices need the
-      others whole.
-    in_place: which of them the first result may overwrite, where nothing else needs it.
-    **attributes: numpy integers.
-  """
-
-  aliases = {} if in_place is None else {in_place: 0}
-
-  def run(*arrays):
-    local = [jax.ShapeDtypeStruct((len(arrays[0]), *r.shape[1:]), r.dtype) for r in results]
-    return tuple(jax.ffi.ffi_call(name, local, input_output_aliases=aliases)(*arrays, **attributes))
-
-  if jax.device_count() == 1:  # the partitioner's callbacks would miss the compilation cache
-    return run(*arrays)
-
-  def partition(mesh, arguments, _):
-    spec = arguments[0].sharding.spec
-    batch = NamedSharding(mesh, PartitionSpec(spec[0] if len(spec) else None))
-    whole = NamedSharding(mesh, PartitionSpec())
-    shardings = [batch if i in volumes else whole for i in range(len(arrays))]
-    return mesh, run, (batch,) * len(results), tuple(shardings)
-
-  spread = custom_partitioning(run)
-  spread.def_partition(partition, sharding_rule=_rule(arrays, results, volumes))
-  return spread(*arrays)
-
-
-def sum_samples(x: jax.Array) -> jax.Array:
-  """x.sum(0), as a product: the compiler's own sum over the first axis is slow."""
-  return (jnp.ones((1, len(x))) @ x.reshape(len(x), -1)).reshape(x.shape[1:])
-
-
-def _rule(arrays, results, volumes) -> str:
-  """How axes of arguments and results go together, for the partitioner: only the batch's do."""
-  names = itertools.count()
-
-  def axes(array, has_batch):
-    found = [f'a{next(names)}' for _ in array.shape]
-    return ' '.join((['batch', *found[1:]] if has_batch else found) or [''])
-
-  left = ', '.join(axes(a, i in volumes) for i, a in enumerate(arrays))
-  return f'{left} -> {", ".join(axes(r, True) for r in results)}'
 
 
 def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> pathlib.Path:

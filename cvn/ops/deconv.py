@@ -7,7 +7,7 @@ product before it left it, x, and both read it as a = activation(gain x + offset
 batch normalisation in between. They also return the sums that the next one needs.
 
 Which program computes them is decided when the function is lowered: on a CPU the compiled kernels
-(cvn/native.py) or, where these are missing, matrix products (cvn/phases.py); elsewhere the
+(native.py) or, where these are missing, matrix products (matmul.py); elsewhere the
 library's convolution. Derivatives are those of the same program.
 
 Kernels are float32, and so is every sum. Where the input is bfloat16, so are all factors of
@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cvn import native, phases
-from cvn.normalization import Activation, activated
+from cvn.ops import dispatch, matmul, native
+from cvn.ops.normalization import Activation, activated
 
 _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
@@ -114,7 +114,7 @@ conv.defvjp(_conv_forward, _conv_backward)
 
 
 _LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
-_PRODUCTS = {'deconv': phases.deconv, 'conv': phases.conv}
+_PRODUCTS = {'deconv': matmul.deconv, 'conv': matmul.conv}
 
 
 def _forward(name, y, *arguments):
@@ -123,7 +123,7 @@ def _forward(name, y, *arguments):
 
   def kernels(x, gain, offset, kernel):
     results = [y, jax.ShapeDtypeStruct((len(x), 2, y.shape[-1]), jnp.float32)]
-    out, sums = native.call(
+    out, sums = dispatch.call(
       f'cvn_{name}', results, x, gain, offset, kernel, activation=activation.number
     )
     return out, sums.sum(0)
@@ -151,12 +151,12 @@ def _gradients(name, activation, inputs, y, cotangents):
       jax.ShapeDtypeStruct((len(x), 2, cin), jnp.float32),
       jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
     ]
-    dx, dcoefficients, dkernel = native.call(
+    dx, dcoefficients, dkernel = dispatch.call(
       f'cvn_{name}_gradient', results, x, gain, offset, kernel, y, dy, dsums,
       volumes=(0, 4, 5), activation=activation.number,
     )  # fmt: skip
     doffset, dgain = dcoefficients.sum(0)
-    dkernel = native.sum_samples(dkernel)
+    dkernel = dispatch.sum_samples(dkernel)
     return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
   def of(product):

@@ -1,7 +1,7 @@
 """The stride-2 3x3x3 transposed convolution and the 3x3x3 convolution after it, as matrix products.
 
-What cvn/deconv.py does on a CPU where the compiled kernels are missing: a library convolution with
-dilated input runs in naive loops there, two hundred times under the matrix product. Along one axis,
+deconv.py uses them on a CPU without compiled kernels: XLA runs a convolution with dilated input in
+naive loops there, two hundred times slower than a matrix product. Along one axis,
 output 2j reads (x[j], w[0]) and (x[j-1], w[2]), output 2j+1 reads (x[j], w[1]): SAME padding of the
 authors' framework. The eight parities of an output voxel are its phases; in phase layout, a map
 is [B, X, Y, Z, 2, 2, 2, C], where entry (x, y, z, p, q, r) is voxel (2x + p, 2y + q, 2z + r).

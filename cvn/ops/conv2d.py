@@ -1,8 +1,8 @@
 """The encoder's convolution of stride 2: [B, H, W, in] -> [B, H / 2, W / 2, out], SAME padding.
 
-On a CPU the compiled kernels (cvn/native.py) compute it where they are at hand and take its shape:
-the library's gradients are several times slower there, and for large batches many times. Elsewhere
-the library does. The choice is made when the function is lowered.
+On a CPU the compiled kernels (native.py) compute it if they are available and take its shape: XLA's
+gradients are several times slower there. Everywhere else XLA computes it. The choice is made when
+the function is lowered.
 """
 
 import functools
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cvn import native
+from cvn.ops import dispatch, native
 
 _LANES = 16  # numbers in a vector of kernels/common.h
 
@@ -30,7 +30,7 @@ def conv2d(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
   def kernels(x, kernel):
     b, h, w, _ = x.shape
     y = jax.ShapeDtypeStruct((b, h // 2, w // 2, kernel.shape[-1]), jnp.float32)
-    return native.call('cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))[0]
+    return dispatch.call('cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))[0]
 
   return _by_platform(kernels, library_conv2d, kernel.shape, x, kernel)
 
@@ -52,7 +52,7 @@ def _backward(mixed, residuals, dy):
 
   def input_kernel(dy, kernel):
     dx = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return native.call('cvn_conv2d_input_gradient', [dx], dy, kernel, mixed=flag)[0]
+    return dispatch.call('cvn_conv2d_input_gradient', [dx], dy, kernel, mixed=flag)[0]
 
   def input_library(dy, kernel):
     return jax.vjp(lambda x: library_conv2d(x, kernel), jnp.zeros_like(x))[1](dy)[0]
@@ -60,7 +60,7 @@ def _backward(mixed, residuals, dy):
   def kernel_kernel(x, dy):
     terms = jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)
     name = 'cvn_conv2d_kernel_gradient'
-    return native.sum_samples(native.call(name, [terms], x, dy, volumes=(0, 1), mixed=flag)[0])
+    return dispatch.sum_samples(dispatch.call(name, [terms], x, dy, volumes=(0, 1), mixed=flag)[0])
 
   def kernel_library(x, dy):
     return jax.vjp(lambda k: library_conv2d(x, k), jnp.zeros_like(kernel))[1](dy)[0]
