@@ -121,7 +121,7 @@ struct MapTerms;
 template <>
 struct MapTerms<Vectors> {
   const Map& s;
-  const int64_t run = s.size * s.cin, deep = RoundUp(run, 8), wide = RoundUp(s.cout, kLanes);
+  const int64_t run = s.size * s.cin, deep = run, wide = RoundUp(s.cout, kLanes);
   const int64_t row_size = RoundUp((s.w + s.size) * s.cin + deep, kLanes);
 
   int64_t rows_size(int64_t rows) const { return rows * row_size; }
@@ -142,7 +142,7 @@ struct MapTerms<Vectors> {
         a[i] = rows + (2 * i + t) * row_size;
         b[i] = gradient + i * gradient_size();
       }
-      AddOuter(static_cast<int>(count), a, 2 * s.cin, b, wide, s.w / 2, deep, wide,
+      AddOuter<Floats>(static_cast<int>(count), a, 2 * s.cin, b, wide, s.w / 2, deep, wide,
                total + t * deep * wide, wide);
     }
   }

@@ -25,7 +25,7 @@ struct FineRows<Vectors> {
       a[i] = left + i * left_size;
       b[i] = rows[i] + tap * wide_out;
     }
-    AddOuter(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
+    AddOuter<Floats>(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
   }
 
   // f(gain x + offset) for the left side of these products: [z][wide].

@@ -183,6 +183,27 @@ ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result 
 
 }  // namespace
 
+// What the kernels were compiled for.
+extern "C" const char* cvn_instruction_set() {
+#if CVN_TILES
+  return "AVX-512 with BF16 and AMX";
+#elif defined(__AVX512BF16__)
+  return "AVX-512 with BF16";
+#elif defined(__AVX512F__)
+  return "AVX-512";
+#elif defined(__AVX2__)
+  return "AVX2";
+#elif defined(__AVX__)
+  return "AVX";
+#elif defined(__aarch64__)
+  return "NEON";
+#elif defined(__SSE2__)
+  return "SSE2";
+#else
+  return "no vectors";
+#endif
+}
+
 #define CVN_KERNEL(name, function) \
   XLA_FFI_DEFINE_HANDLER_SYMBOL(name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()
 
