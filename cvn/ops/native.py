@@ -38,7 +38,6 @@ from cvn.ops import timings
 
 SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
 SHIPPED = pathlib.Path(__file__).with_name('shipped')
-BLOCKS = pathlib.Path(__file__).parent.with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
