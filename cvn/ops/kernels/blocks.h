@@ -20,11 +20,11 @@ struct Floats {
 
 struct Bf16Pairs {
   static CVN_INLINE Vec Add(Vec sum, float left, Vec right) {
-    const Vec both = Vec{} + left;
+    // A pair is no number: arithmetic, even adding zero, might flush it to zero.
 #if CVN_LANES == 16
-    return (Vec)_mm512_dpbf16_ps((__m512)sum, (__m512bh)both, (__m512bh)right);
+    return (Vec)_mm512_dpbf16_ps((__m512)sum, (__m512bh)_mm512_set1_ps(left), (__m512bh)right);
 #else
-    return (Vec)_mm256_dpbf16_ps((__m256)sum, (__m256bh)both, (__m256bh)right);
+    return (Vec)_mm256_dpbf16_ps((__m256)sum, (__m256bh)_mm256_set1_ps(left), (__m256bh)right);
 #endif
   }
 };

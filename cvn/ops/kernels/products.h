@@ -60,14 +60,19 @@ struct Pairs {
 
   static void Multiply(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
                        int64_t rows, int64_t k, int64_t n, float* c, int64_t c_stride) {
-    MultiplyRows<Bf16Pairs>(taps, AsWords(a), a_stride / 2, AsWords(b), rows, k / 2, n, c,
-                            c_stride);
+    const Word *left[kMaxTaps], *right[kMaxTaps];
+    AsWords(taps, a, left);
+    AsWords(taps, b, right);
+    MultiplyRows<Bf16Pairs>(taps, left, a_stride / 2, right, rows, k / 2, n, c, c_stride);
   }
 
   // C [m][n] += the sum over `count` factors of A^T B, both rows of words; strides are in words.
   static void AddOuter(int count, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
                        int64_t b_stride, int64_t k, int64_t m, int64_t n, float* c) {
-    cvn::AddOuter<Bf16Pairs>(count, AsWords(a), a_stride, AsWords(b), b_stride, k, m, n, c, n);
+    const Word *left[kMaxTaps], *right[kMaxTaps];
+    AsWords(count, a, left);
+    AsWords(count, b, right);
+    cvn::AddOuter<Bf16Pairs>(count, left, a_stride, right, b_stride, k, m, n, c, n);
   }
 
   // Two rows of n numbers as one row of words; n is a multiple of kLanes.
@@ -80,8 +85,8 @@ struct Pairs {
   }
 
  private:
-  static const Word* const* AsWords(const Bf16* const* p) {
-    return reinterpret_cast<const Word* const*>(p);
+  static CVN_INLINE void AsWords(int count, const Bf16* const* from, const Word** to) {
+    for (int i = 0; i < count; ++i) to[i] = reinterpret_cast<const Word*>(from[i]);
   }
   static CVN_INLINE Words Bits(const Bf16* p) {
     return __builtin_convertvector(*reinterpret_cast<const Halves*>(p), Words);
