@@ -23,8 +23,7 @@ from cvn.ops import compile as compiling
 from cvn.ops import conv2d, deconv, native, normalization
 from cvn.ops.normalization import ELU, SIGMOID
 
-REPEATS = 7  # at most
-SECONDS = 0.4  # after which a pair is repeated no more
+MIN_REPEATS, SECONDS = 3, 0.8  # for each layer; the seconds are for all of its programs
 TOLERANCES = {'float32': 1e-3, 'mixed': 2e-2}  # of the largest number of an array
 
 
@@ -62,50 +61,46 @@ LAYERS = (
 
 def main(argv: list[str]) -> int:
   """Prints the result for the library that is named; the exit status is 0 whatever it is."""
-  path = pathlib.Path(argv[1])
   try:
-    library = native.load(path, suffix='')
-  except (OSError, AttributeError, RuntimeError) as e:
-    print(json.dumps({'refused': compiling.reason(e)}))
-    return 0
-  seconds = {}
-  for layer in LAYERS:
-    seconds[layer.operation] = {}
-    for dtype in TOLERANCES:
-      times, difference = measure(library, layer, dtype)
-      if not difference <= TOLERANCES[dtype]:
-        wrong = (
-          f'wrong values of {layer.operation} in {dtype}: {difference:.1e} from the plain ones'
-        )
-        print(json.dumps({'refused': wrong}))
-        return 0
-      seconds[layer.operation][dtype] = times
-  print(json.dumps({'seconds': seconds}))
+    library = native.load(pathlib.Path(argv[1]), suffix='')
+    found = {'seconds': {layer.operation: measure(library, layer) for layer in LAYERS}}
+  except (OSError, AttributeError, RuntimeError, ArithmeticError) as e:
+    found = {'refused': compiling.reason(e)}
+  print(json.dumps(found))
   return 0
 
 
-def measure(library: native.Library, layer: Layer, dtype: str) -> tuple[tuple[float, float], float]:
-  """((seconds with kernels, seconds with plain products), the largest difference).
+def measure(library: native.Library, layer: Layer) -> dict[str, tuple[float, float]]:
+  """Seconds with kernels and with plain products, in 'float32' and 'mixed'.
 
-  The difference is relative to the largest number of the array that has it.
+  All four take turns, so that what slows one down for a while does so with the others.
+
+  Raises:
+    ArithmeticError: the kernels and the plain products disagree.
   """
-  arguments = _draw(layer, dtype == 'mixed')
-  programs, results = [], []
-  for chosen in (library, None):
-    with native.using(chosen):
-      programs.append(_make_step(layer, dtype == 'mixed').lower(*arguments).compile())
-    results.append(jax.block_until_ready(programs[-1](*arguments)))
-  difference = max(map(_difference, *results))
+  steps = []
+  for dtype, tolerance in TOLERANCES.items():
+    arguments, results = _draw(layer, dtype == 'mixed'), []
+    for chosen in (library, None):
+      with native.using(chosen):
+        program = _make_step(layer, dtype == 'mixed').lower(*arguments).compile()
+      results.append(jax.block_until_ready(program(*arguments)))
+      steps.append((program, arguments))
+    difference = max(map(_difference, *results))
+    if not difference <= tolerance:
+      raise ArithmeticError(f'{layer.operation} in {dtype} is wrong by {difference:.1e}')
 
-  shortest, start = [np.inf, np.inf], time.perf_counter()
-  for _ in range(REPEATS):
-    for n, program in enumerate(programs):
-      before = time.perf_counter()
-      jax.block_until_ready(program(*arguments))
-      shortest[n] = min(shortest[n], time.perf_counter() - before)
-    if time.perf_counter() - start > SECONDS:
-      break
-  return tuple(shortest), difference
+  seconds, start = [], time.perf_counter()
+  while len(seconds) < MIN_REPEATS or time.perf_counter() - start < SECONDS:
+    seconds.append([_time(*step) for step in steps])
+  shortest = map(min, *seconds)
+  return {dtype: (next(shortest), next(shortest)) for dtype in TOLERANCES}
+
+
+def _time(program, arguments):
+  start = time.perf_counter()
+  jax.block_until_ready(program(*arguments))
+  return time.perf_counter() - start
 
 
 def _draw(layer, mixed):
