@@ -21,7 +21,11 @@ from cvn import errors
 from cvn.files import atomic_write
 from experiments.stages import read_bytes, read_json, run_program
 
-VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
+VARIANTS = {
+  'float32': {'dtype': 'float32'},
+  'mixed': {'dtype': 'mixed'},
+  'surface': {'dtype': 'float32', 'heads': 'surface'},
+}
 SHAPE_VARIANTS = ('float32', 'mixed')
 STYLES = dict(zip(VARIANTS, ('-', '--', ':'), strict=True))  # float32 and mixed lie on each other
 MEASURES = {

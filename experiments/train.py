@@ -13,6 +13,7 @@ files (see cvn.checkpoint and cvn.journal).
 
 import contextlib
 import math
+import os
 import signal
 import sys
 import time
@@ -39,6 +40,7 @@ from cvn import recipe as recipes
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
+from cvn.ops import native
 from cvn.recipe import RECIPES, Recipe
 from experiments.training_pictures import draw_views
 
@@ -49,6 +51,7 @@ SURFACE_DISTANCES = {
   'l1': losses.surface_l1,
 }
 DTYPES = ('float32', 'mixed')
+DTYPE_CHOICES = ('auto', *DTYPES)
 HEADS = ('dense', 'surface')
 SAMPLERS = {
   'bilinear': sampler.bilinear,
@@ -74,10 +77,12 @@ def define_flags(f: flags.FlagValues) -> None:
   )
   flags.DEFINE_enum(
     'dtype',
-    'float32',
-    DTYPES,
-    'Of the factors in the 3D layers; mixed: bfloat16, while sums, statistics, parameters and'
-    ' optimizer stay float32. Faster on processors and accelerators that multiply bfloat16.',
+    'auto',
+    DTYPE_CHOICES,
+    'Type of the volumes that the 3D layers multiply. mixed: bfloat16, while sums, statistics,'
+    ' parameters and optimizer stay float32. auto: what the run in --workdir was begun with; in a'
+    ' new run the faster type, which is mixed on accelerators, and on a CPU what was measured for'
+    ' its compiled kernels.',
     **own,
   )
   flags.DEFINE_enum(
@@ -163,6 +168,7 @@ def run(f: flags.FlagValues) -> int:
     mirror=recipe.mirror,
     recolor=recipe.recolor,
   )
+  resolve_dtype(f)
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
   checkpoint.start(f.workdir, make_config(f, recipe, dataset, len(rows)))
@@ -241,6 +247,22 @@ def run(f: flags.FlagValues) -> int:
     print('stopped; the same command goes on from here', file=sys.stderr)
     return 128 + caught[0]
   return 0
+
+
+def resolve_dtype(f: flags.FlagValues) -> None:
+  """Replaces --dtype=auto by what it comes to, so that this is what is stored; prints why.
+
+  Raises:
+    UserError: --workdir holds a run whose settings cannot be read.
+  """
+  if f.dtype != 'auto':
+    return
+  if os.path.lexists(os.path.join(f.workdir, 'config.json')):
+    stored = checkpoint.read_config(f.workdir)
+    f.dtype, why = stored.get('dtype', 'float32'), f'{f.workdir} was begun with it'
+  else:
+    f.dtype, why = native.faster_dtype()
+  print(f'--dtype=auto is {f.dtype}: {why}')
 
 
 def make_recipe(f: flags.FlagValues) -> Recipe:

@@ -4,6 +4,7 @@ This module needs the standard library alone: it also runs where a wheel is buil
 """
 
 import contextlib
+import hashlib
 import os
 import pathlib
 import platform
@@ -147,9 +148,16 @@ def compile_library(
 
 def reason(e: BaseException) -> str:
   """One line about what went wrong."""
+  if isinstance(e, subprocess.TimeoutExpired):
+    return f'{e.cmd[0]} did not end in {e.timeout:g} s'
   told = getattr(e, 'stderr', None)
   text = (told.decode(errors='replace') if told else str(e)).strip() or type(e).__name__
   return next((line for line in text.splitlines() if 'error' in line), text.split('\n')[0])
+
+
+def digest(*parts: bytes) -> str:
+  """16 characters that tell these parts from others."""
+  return hashlib.sha256(b'|'.join(parts)).hexdigest()[:16]
 
 
 def _run(command):

@@ -9,32 +9,35 @@ It is optional. The first of these that works is taken, and each failure gives o
   compiled           built on first use by the C++ compiler ($CXX, or the first that is found)
   none               plain products
 
-CVN_TARGET names the instruction set to compile for instead of this processor's own (compile.py);
-shipped libraries are then passed over. What is compiled is kept in $XDG_CACHE_HOME/cvn
-(~/.cache/cvn), under a name that depends on the source, the compiler, the target and jaxlib.
+A library that its trial refuses (timings.py) does not work. CVN_TARGET names the instruction set to
+compile for instead of this processor's own (compile.py); shipped libraries are then passed over.
+What is compiled is kept in $XDG_CACHE_HOME/cvn (~/.cache/cvn), under a name that depends on the
+source, the compiler, the target and jaxlib.
 """
 
 import atexit
+import contextlib
 import ctypes
 import functools
-import hashlib
 import os
 import pathlib
 import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
 import jaxlib
 from absl import logging
 
+from cvn import files
 from cvn.ops import compile as compiling
+from cvn.ops import timings
 
 SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
 SHIPPED = pathlib.Path(__file__).with_name('shipped')
-BLOCKS = pathlib.Path(__file__).parent.with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
@@ -54,22 +57,16 @@ class Library(NamedTuple):
   path: pathlib.Path
   origin: str  # 'named', 'shipped' or 'compiled'
   instruction_set: str  # what it was compiled for, as it says itself
+  timings: timings.Timings  # on this processor
   suffix: str  # of the names that its kernels are registered under
 
 
-@functools.cache
+_substitutes: list[Library | None] = []  # of `using`, the last one counts
+
+
 def library() -> Library | None:
   """This process's library, None if there is none; the first call builds it if it must."""
-  if os.environ.get('CVN_KERNELS') == 'off':
-    return None
-  for origin, find in (('named', _named), ('shipped', _shipped), ('compiled', _compiled)):
-    try:
-      path = find()
-      if path is not None:
-        return load(path, origin=origin, suffix='')
-    except (OSError, AttributeError, RuntimeError, ValueError, subprocess.SubprocessError) as e:
-      _tell_failure(origin, e)
-  return None
+  return _substitutes[-1] if _substitutes else _choose()
 
 
 def available() -> bool:
@@ -78,14 +75,27 @@ def available() -> bool:
 
 
 def wins(operation: str, *, mixed: bool) -> bool:
-  """Whether a kernel is available, and faster than the plain product on this processor.
+  """Whether a kernel is available, and at least as fast as the plain product on this processor.
 
   Args:
     operation: 'deconv', 'conv', 'conv2d' or 'activated', with the gradients.
     mixed: whether volumes, or the factors of conv2d, are bfloat16.
   """
-  del operation, mixed
-  return available()
+  found = library()
+  if found is None:
+    return False
+  times = found.timings.get(operation, {}).get('mixed' if mixed else 'float32')
+  return times is None or timings.wins(times)
+
+
+def faster_dtype() -> tuple[str, str]:
+  """The faster of 'float32' and 'mixed' for the networks' volumes on this machine, and why."""
+  if jax.default_backend() != 'cpu':
+    return 'mixed', f'a {jax.default_backend()} multiplies bfloat16 faster'
+  found = library()
+  if found is None:
+    return 'float32', 'there are no compiled kernels, and plain products multiply float32'
+  return timings.choose_dtype(found.timings)
 
 
 def target(kernel: str) -> str:
@@ -94,28 +104,42 @@ def target(kernel: str) -> str:
   return kernel + (found.suffix if found else '')
 
 
-def load(path: pathlib.Path, *, origin: str = 'named', suffix: str | None = None) -> Library:
-  """Loads a library and registers its kernels with JAX.
+@contextlib.contextmanager
+def using(substitute: Library | None) -> Iterator[None]:
+  """Replaces this process's library while a block runs, for measurements and tests.
 
-  Several may be loaded: a name is registered once for all.
+  It counts where functions are traced. A library whose timings are empty wins everywhere.
+  """
+  _substitutes.append(substitute)
+  try:
+    yield
+  finally:
+    _substitutes.pop()
+
+
+def load(path: pathlib.Path, *, suffix: str | None = None) -> Library:
+  """Loads a library and registers its kernels with JAX, without a trial.
+
+  Several may be loaded, each with a suffix of its own.
 
   Args:
     path: of the library.
-    origin: where it comes from.
     suffix: of the FFI target names; None for one that depends on the library's content.
 
   Raises:
     OSError: the file cannot be loaded.
-    AttributeError: it lacks a kernel.
+    AttributeError: it lacks a function.
     RuntimeError: its kernels are for another version of XLA's interface.
   """
   loaded = ctypes.CDLL(str(path))
   functions = {name: getattr(loaded, name) for name in KERNELS}
-  suffix = f'@{_digest(path.read_bytes())}' if suffix is None else suffix
+  loaded.cvn_instruction_set.restype = ctypes.c_char_p
+  instruction_set = loaded.cvn_instruction_set().decode()
+  suffix = f'@{compiling.digest(path.read_bytes())}' if suffix is None else suffix
   for name, function in functions.items():
     capsule = jax.ffi.pycapsule(function)
     jax.ffi.register_ffi_target(name + suffix, capsule, platform='cpu')
-  return Library(path, origin, _instruction_set(loaded), suffix)
+  return Library(path, 'named', instruction_set, {}, suffix)
 
 
 def build(
@@ -146,12 +170,13 @@ def build(
     flags.append(compiling.describe_processor())
   told = [f.read_bytes() for f in (source, *sorted(source.parent.glob('*.h')))]
   told += [version.stdout, ' '.join(flags).encode(), jaxlib.__version__.encode()]
-  path = (folder or cache_folder()) / f'{source.stem}-{_digest(*told)}.so'
-  if not path.exists():
-    include = [jax.ffi.include_dir()]
-    compiling.compile_library(
-      source, path, target=target, compiler=compiler, include=include, options=options
-    )
+  path = (folder or cache_folder()) / f'{source.stem}-{compiling.digest(*told)}.so'
+  with files.locked(path.with_name('build.lock')):
+    if not path.exists():
+      include = [jax.ffi.include_dir()]
+      compiling.compile_library(
+        source, path, target=target, compiler=compiler, include=include, options=options
+      )
   return path
 
 
@@ -159,6 +184,21 @@ def cache_folder() -> pathlib.Path:
   """The user's folder for what this package compiles and measures."""
   home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
   return pathlib.Path(home) / 'cvn'
+
+
+@functools.cache
+def _choose() -> Library | None:
+  if os.environ.get('CVN_KERNELS') == 'off':
+    return None
+  for origin, find in (('named', _named), ('shipped', _shipped), ('compiled', _compiled)):
+    try:
+      path = find()
+      if path is not None:
+        times = timings.find(path, cache_folder())
+        return load(path, suffix='')._replace(origin=origin, timings=times)
+    except (OSError, AttributeError, RuntimeError, subprocess.SubprocessError) as e:
+      _tell_failure(origin, e)
+  return None
 
 
 def _named() -> pathlib.Path | None:
@@ -212,16 +252,3 @@ def _is_writable(folder):
       return True
   except OSError:
     return False
-
-
-def _instruction_set(loaded):
-  try:
-    function = loaded.cvn_instruction_set
-  except AttributeError:
-    return 'unknown instruction set'
-  function.restype = ctypes.c_char_p
-  return function().decode()
-
-
-def _digest(*parts: bytes) -> str:
-  return hashlib.sha256(b'|'.join(parts)).hexdigest()[:16]

@@ -16,14 +16,16 @@ struct Floats {
   static CVN_INLINE Vec Add(Vec sum, float left, Vec right) { return sum + left * right; }
 };
 
-#if defined(__AVX512BF16__)
+#if CVN_PAIRS
 
 struct Bf16Pairs {
   static CVN_INLINE Vec Add(Vec sum, float left, Vec right) {
-    const __m512 both = _mm512_set1_ps(left);
-    return reinterpret_cast<Vec>(_mm512_dpbf16_ps(reinterpret_cast<__m512>(sum),
-                                                  reinterpret_cast<__m512bh>(both),
-                                                  reinterpret_cast<__m512bh>(right)));
+    const Vec both = Vec{} + left;
+#if CVN_LANES == 16
+    return (Vec)_mm512_dpbf16_ps((__m512)sum, (__m512bh)both, (__m512bh)right);
+#else
+    return (Vec)_mm256_dpbf16_ps((__m256)sum, (__m256bh)both, (__m256bh)right);
+#endif
   }
 };
 
@@ -35,11 +37,11 @@ constexpr int MostRows(int vecs) {
   return kLanes == 16 ? 16 / vecs : std::min<int>((kRegisters - 1 - vecs) / vecs, 12);
 }
 
-// How many vectors wide the next block is, where `vecs` are left.
+// How many vectors wide the next block is, where `vecs` are left: 1, 2, 3, 4 or 6.
 constexpr int BlockWidth(int64_t vecs) {
   if (kLanes == 16) return vecs > 1 ? 2 : 1;
-  const int widest = kRegisters / 5;  // 3 or 6
-  return vecs % widest == 0 ? widest : vecs > 3 && widest > 3 ? 4 : vecs > 1 ? 2 : 1;
+  if (kRegisters == 16) return vecs % 3 == 0 ? 3 : vecs > 1 ? 2 : 1;
+  return vecs % 6 == 0 ? 6 : vecs == 5 ? 3 : vecs > 4 ? 4 : static_cast<int>(vecs);
 }
 
 // Calls f with an integer from 1 to kMost that the compiler knows.
@@ -76,16 +78,16 @@ CVN_INLINE void ForBlocks(int64_t rows, int64_t n, const F& f) {
 // One block of C: the sum over taps of A_tap B_tap. A's rows are `a_stride` words apart, B is
 // [k][b_stride].
 template <typename Factors, int kRows, int kVecs>
-void Block(int taps, const float* const* a, int64_t a_at, int64_t a_stride, const float* const* b,
+void Block(int taps, const Word* const* a, int64_t a_at, int64_t a_stride, const Word* const* b,
            int64_t b_at, int64_t b_stride, int64_t k, float* c, int64_t c_stride) {
   Vec sum[kRows][kVecs] = {};
   for (int t = 0; t < taps; ++t) {
-    const float* row = a[t] + a_at;
-    const float* panel = b[t] + b_at;
+    const Word* row = a[t] + a_at;
+    const Word* panel = b[t] + b_at;
     for (int64_t i = 0; i < k; ++i, panel += b_stride) {
       Vec right[kVecs];
 #pragma GCC unroll 8
-      for (int v = 0; v < kVecs; ++v) right[v] = Load(panel + v * kLanes);
+      for (int v = 0; v < kVecs; ++v) right[v] = LoadWords(panel + v * kLanes);
 #pragma GCC unroll 16
       for (int m = 0; m < kRows; ++m) {
         const float left = row[m * a_stride + i];
@@ -101,7 +103,7 @@ void Block(int taps, const float* const* a, int64_t a_at, int64_t a_stride, cons
 
 // C [rows][n] = the sum over taps of A_tap B_tap; n is a multiple of kLanes.
 template <typename Factors>
-void MultiplyRows(int taps, const float* const* a, int64_t a_stride, const float* const* b,
+void MultiplyRows(int taps, const Word* const* a, int64_t a_stride, const Word* const* b,
                   int64_t rows, int64_t k, int64_t n, float* c, int64_t c_stride) {
   ForBlocks(rows, n, [&](int64_t i, int64_t j, auto high, auto vecs) {
     Block<Factors, high, vecs>(taps, a, i * a_stride, a_stride, b, j, n, k, c + i * c_stride + j,
@@ -112,19 +114,19 @@ void MultiplyRows(int taps, const float* const* a, int64_t a_stride, const float
 // One block of C += the sum over pairs of A^T B, for A [k][m] and B with rows `a_stride` and
 // `b_stride` words apart.
 template <typename Factors, int kRows, int kVecs>
-void OuterBlock(int pairs, const float* const* a, int64_t a_at, int64_t a_stride,
-                const float* const* b, int64_t b_at, int64_t b_stride, int64_t k, float* c,
+void OuterBlock(int pairs, const Word* const* a, int64_t a_at, int64_t a_stride,
+                const Word* const* b, int64_t b_at, int64_t b_stride, int64_t k, float* c,
                 int64_t c_stride) {
   Vec sum[kRows][kVecs];
   for (int m = 0; m < kRows; ++m) {
     for (int v = 0; v < kVecs; ++v) sum[m][v] = Load(c + m * c_stride + v * kLanes);
   }
   for (int p = 0; p < pairs; ++p) {
-    const float *left = a[p] + a_at, *row = b[p] + b_at;
+    const Word *left = a[p] + a_at, *row = b[p] + b_at;
     for (int64_t i = 0; i < k; ++i, left += a_stride, row += b_stride) {
       Vec right[kVecs];
 #pragma GCC unroll 8
-      for (int v = 0; v < kVecs; ++v) right[v] = Load(row + v * kLanes);
+      for (int v = 0; v < kVecs; ++v) right[v] = LoadWords(row + v * kLanes);
 #pragma GCC unroll 16
       for (int m = 0; m < kRows; ++m) {
 #pragma GCC unroll 8
@@ -139,7 +141,7 @@ void OuterBlock(int pairs, const float* const* a, int64_t a_at, int64_t a_stride
 
 // C [m][n] += the sum over pairs of A^T B; n is a multiple of kLanes.
 template <typename Factors>
-void AddOuter(int pairs, const float* const* a, int64_t a_stride, const float* const* b,
+void AddOuter(int pairs, const Word* const* a, int64_t a_stride, const Word* const* b,
               int64_t b_stride, int64_t k, int64_t m, int64_t n, float* c, int64_t c_stride) {
   ForBlocks(m, n, [&](int64_t i, int64_t j, auto high, auto vecs) {
     OuterBlock<Factors, high, vecs>(pairs, a, i, a_stride, b, j, b_stride, k,

@@ -28,6 +28,32 @@ void Spread(int64_t taps, const float* const* from, int64_t at, const float* wei
   }
 }
 
+// One block of a kernel's gradient: adds the products of all voxels' values with what each tap's
+// row holds there.
+template <int kRows, int kVecs>
+void AddTaps(const float* const* from, const float* values, int64_t wide, int64_t voxels,
+             float* total) {
+  Vec sum[kRows][kVecs];
+  for (int m = 0; m < kRows; ++m) {
+    for (int v = 0; v < kVecs; ++v) sum[m][v] = Load(total + m * wide + v * kLanes);
+  }
+  const float* rows[kRows];
+  for (int m = 0; m < kRows; ++m) rows[m] = from[m];
+  for (int64_t z = 0; z < voxels; ++z, values += wide) {
+    Vec right[kVecs];
+#pragma GCC unroll 8
+    for (int v = 0; v < kVecs; ++v) right[v] = Load(values + v * kLanes);
+#pragma GCC unroll 16
+    for (int m = 0; m < kRows; ++m) {
+#pragma GCC unroll 8
+      for (int v = 0; v < kVecs; ++v) sum[m][v] += rows[m][z] * right[v];
+    }
+  }
+  for (int m = 0; m < kRows; ++m) {
+    for (int v = 0; v < kVecs; ++v) Store(total + m * wide + v * kLanes, sum[m][v]);
+  }
+}
+
 // What makes the gradients of rows of the input, for one kind of products each. Planes of the
 // output's gradient are brought into its form row by row; the kernel's gradient is summed in its
 // form, too.
@@ -78,18 +104,9 @@ class ConvolutionGradient<Vectors> {
                 float* total) const {
     for (int row = 0; row < count; ++row, values += value_size()) {
       const auto from = Rows(planes, y + row);
-      for (int64_t c = 0; c < wide_; c += kLanes) {
-        for (int64_t n = 0; n < taps_; n += 9) {
-          Vec part[9];
-          for (int i = 0; i < 9; ++i) part[i] = Load(total + (n + i) * wide_ + c);
-          for (int64_t z = 0; z < s_.z; ++z) {
-            const Vec value = Load(values + z * wide_ + c);
-#pragma GCC unroll 9
-            for (int i = 0; i < 9; ++i) part[i] += from[n + i][z] * value;
-          }
-          for (int i = 0; i < 9; ++i) Store(total + (n + i) * wide_ + c, part[i]);
-        }
-      }
+      ForBlocks(taps_, wide_, [&](int64_t n, int64_t c, auto rows, auto vecs) {
+        AddTaps<rows, vecs>(from.data() + n, values + c, wide_, s_.z, total + n * wide_ + c);
+      });
     }
   }
 

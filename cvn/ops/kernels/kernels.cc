@@ -82,7 +82,7 @@ ffi::Error Conv(ffi::ThreadPool pool, AnyArray x, Array gain, Array offset, Arra
   return WithType(x, [&](auto* in) {
     using In = Plain<decltype(in)>;
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvRows<decltype(product)>(s, source, w.typed_data(), pool, y->typed_data(),
                                   sums->typed_data());
     });
@@ -98,7 +98,7 @@ ffi::Error ConvGradient(ffi::ThreadPool pool, AnyArray x, Array gain, Array offs
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
     const Cotangent<float> cotangent(y.typed_data(), dy.typed_data(), dsums.typed_data(), s.z,
                                      s.cout);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvGradients<decltype(product)>(s, source, w.typed_data(), cotangent, pool, Data(*dx, in),
                                        sums->typed_data(), dw->typed_data());
     });

@@ -9,24 +9,33 @@
 #include <type_traits>
 #include <utility>
 
-#if defined(__AVX512BF16__)
+#if defined(__AVX512BF16__) && defined(__AVX512VL__)
 #include <immintrin.h>
+#define CVN_PAIRS 1  // instructions that multiply pairs of bfloat16
+#else
+#define CVN_PAIRS 0
 #endif
 
 #define CVN_INLINE inline __attribute__((always_inline))
 
 namespace cvn {
 
-// Floats in a vector, and vectors that the registers hold.
-#if defined(__AVX512F__)
-constexpr int64_t kLanes = 16, kRegisters = 32;
-#elif defined(__AVX__)
-constexpr int64_t kLanes = 8, kRegisters = 16;
-#elif defined(__aarch64__)
-constexpr int64_t kLanes = 4, kRegisters = 32;
+// Floats in a vector, and vectors that the registers hold. CVN_LANES asks for shorter vectors than
+// the widest: a processor that computes 512 bits in two halves (Zen 4) gains nothing by AVX-512's
+// width, but by its registers.
+#if defined(__AVX512VL__) || defined(__aarch64__)
+constexpr int64_t kRegisters = 32;
 #else
-constexpr int64_t kLanes = 4, kRegisters = 16;
+constexpr int64_t kRegisters = 16;
 #endif
+#if !defined(CVN_LANES) && defined(__AVX512VL__)
+#define CVN_LANES 16
+#elif !defined(CVN_LANES) && defined(__AVX__)
+#define CVN_LANES 8
+#elif !defined(CVN_LANES)
+#define CVN_LANES 4
+#endif
+constexpr int64_t kLanes = CVN_LANES;
 
 typedef float Vec __attribute__((vector_size(4 * kLanes), may_alias));
 typedef float Loose __attribute__((vector_size(4 * kLanes), aligned(4), may_alias));  // anywhere
@@ -37,6 +46,8 @@ typedef uint16_t Halves __attribute__((vector_size(2 * kLanes), aligned(2), may_
 struct Bf16 {
   uint16_t bits;
 };
+
+typedef float Word __attribute__((may_alias, aligned(4)));  // a float, or a pair of bfloat16
 
 inline int64_t RoundUp(int64_t n, int64_t multiple) {
   return (n + multiple - 1) / multiple * multiple;
@@ -64,6 +75,8 @@ float Rounded(float x) {
 
 CVN_INLINE Vec Load(const float* p) { return *reinterpret_cast<const Loose*>(p); }
 
+CVN_INLINE Vec LoadWords(const Word* p) { return *reinterpret_cast<const Loose*>(p); }
+
 CVN_INLINE Vec Load(const Bf16* p) {
   const Words wide = __builtin_convertvector(*reinterpret_cast<const Halves*>(p), Words) << 16;
   return reinterpret_cast<Vec>(wide);
@@ -72,8 +85,11 @@ CVN_INLINE Vec Load(const Bf16* p) {
 CVN_INLINE void Store(float* p, Vec v) { *reinterpret_cast<Loose*>(p) = v; }
 
 CVN_INLINE void Store(Bf16* p, Vec v) {
-#if defined(__AVX512BF16__)
+#if CVN_PAIRS && CVN_LANES == 16
   const __m256bh half = _mm512_cvtneps_pbh(reinterpret_cast<__m512>(v));
+  std::memcpy(p, &half, sizeof half);
+#elif CVN_PAIRS && CVN_LANES == 8
+  const __m128bh half = _mm256_cvtneps_pbh(reinterpret_cast<__m256>(v));
   std::memcpy(p, &half, sizeof half);
 #else
   const Words u = reinterpret_cast<Words>(v);
