@@ -21,7 +21,6 @@ import jaxlib
 from absl import logging
 
 SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
-BLOCKS = pathlib.Path(__file__).parent.with_name('blocks.cc')  # of cvn/environment.py
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
