@@ -37,7 +37,7 @@ from experiments.perf import layers
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
 REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
-SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES')  # variables that speed depends on
+SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES', 'CVN_KERNELS', 'CVN_TARGET', 'XLA_FLAGS')  # variables that speed depends on
 READERS = {'shape': data.read_shape, 'color': data.read_color}
 DATA_ROUNDS = 3
 DATA_STEPS = 10  # at least, in a round: more than is read ahead
@@ -61,7 +61,7 @@ class DataTimes(NamedTuple):
 
 
 def alone(function: Callable, *args, programs: str | None = None) -> Any:
-  """function(*args), in a new process; what environment.prepare has set is inherited.
+  """function(*args), in a new process; with environment.prepare's settings of memory.
 
   Args:
     function: of a module, so that its name can be sent.
@@ -84,6 +84,7 @@ def alone(function: Callable, *args, programs: str | None = None) -> Any:
 
 
 def _call(function, *args):
+  environment.keep_memory()
   with program.out_of_memory_is_a_user_error():
     return function(*args)
 
