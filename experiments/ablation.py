@@ -13,6 +13,7 @@ from absl import flags
 
 from cvn import environment, errors
 from experiments import protocol, tables
+from experiments.protocol import Plan
 from experiments.tables import Row
 
 STEPS = (
@@ -35,28 +36,28 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the table as the flags say."""
+  make_table(protocol.read_flags(f))
+
+
+def make_table(plan: Plan) -> None:
+  """Evaluates all steps on val and test, prints and writes."""
+  results = {(s, m): tables.evaluate(plan, m, split=s) for s in SPLITS for m in STEPS}
   rows = {
     (split, metric): [
-      Row(
-        ENDS.get(m, protocol.METHODS[m].title),
-        tables.collect(f, m, metric, split=split),
-        {},
-      )
+      Row(ENDS.get(m, protocol.METHODS[m].title), tables.select(results[split, m], metric), {})
       for m in STEPS
     ]
     for split in SPLITS
     for metric in METRICS
   }
   print(f'\n{to_markdown(rows)}\n')
-  found = {
-    metric: tables.compare(
-      rows['test', metric][-1]._replace(title='best'), rows['test', metric][0], form
-    )
-    for metric, (_, form) in METRICS.items()
-  }
-  print('\n'.join(f'{METRICS[k][0]}: {line}' for k, line in found.items()))
-  results = {split: {m: tables.to_json(rows[split, m]) for m in METRICS} for split in SPLITS}
-  tables.finish(f, 'ablation', {'comparisons': found} | results)
+  table = {split: {m: tables.to_part(rows[split, m], []) for m in METRICS} for split in SPLITS}
+  for metric, (title, form) in METRICS.items():
+    first, *_, last = rows['test', metric]
+    comparison = tables.compare(last._replace(title='best'), first)
+    print(f'{title}: {tables.to_line(comparison, form)}')
+    table['test'][metric]['comparisons'].append(comparison._asdict())
+  tables.finish(plan.workdir, 'ablation', table, [r for found in results.values() for r in found])
 
 
 def to_markdown(rows: dict[tuple[str, str], list[Row]]) -> str:

@@ -1,11 +1,10 @@
-"""How numbers were made here where the paper's were made otherwise."""
+"""Deviations from the paper's protocol, as the stored configurations of runs tell them."""
 
-from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-from absl import flags
-
-from cvn import data
-from cvn.dataset import open_dataset
+from experiments import runs
+from experiments.runs import Run
 
 PAPER_VIEWS = (220_500, 1_186_000)  # 500 epochs of 441 guitars, of 2372 cars
 PAPER = {
@@ -23,37 +22,71 @@ PAPER = {
 }
 
 
-def find_differences(f: flags.FlagValues) -> dict[str, str]:
-  """What the shared flags of experiments.protocol say that is not the paper's.
+def find_differences(
+  used: Iterable[Run], tested: Mapping[str, Mapping[str, Any]]
+) -> dict[str, str]:
+  """How runs and test models differ from the paper's.
+
+  Args:
+    used: the runs of all networks.
+    tested: `category` and `source` of each test model, by id.
 
   Returns:
-    Keys of `PAPER`, and what is done here.
+    Keys of `PAPER`, and what was done here.
   """
-  ours = {
-    'models to train on': _count(f, 'train', f.train_source),
-    'models to test on': _count(f, 'test', f.source),
-    'networks': 'one a category' if f.models == 'category' else 'one for all categories',
-    'epochs': str(1 if f.quick else f.epochs),
-    'batch': str(f.batch_size),
-    'learning rate': PAPER['learning rate'] if f.learning_rate is None else f'{f.learning_rate:g}',
-    'arithmetic': f.dtype,
-    'BatchNorm at test time': (
-      f'statistics of {f.fresh_statistics} fresh batches'
-      if f.fresh_statistics
-      else PAPER['BatchNorm at test time']
-    ),
+  found = describe(list(used)) | {'models to test on': count_models(tested)}
+  return {k: v for k, v in found.items() if v != PAPER[k]}
+
+
+def describe(used: Sequence[Run]) -> dict[str, str]:
+  """What the configurations of runs say of the keys of `PAPER`; several values by commas."""
+  counts: dict[str, None] = {}
+  for run in used:
+    counts |= dict.fromkeys(f'{n:,} {name}' for name, n in run.config['counts'].items())
+  return {
+    'models to train on': ', '.join(counts),
+    'networks': say_scope(used),
+    'epochs': _distinct(f'{runs.epochs_of(run):.4g}' for run in used),
+    'batch': _distinct(str(run.config['batch_size']) for run in used),
+    'learning rate': _distinct(f'{run.config["learning_rate"]:g}' for run in used),
+    'arithmetic': _distinct(run.config['dtype'] for run in used),
+    'BatchNorm at test time': _distinct(_say_statistics(run.config) for run in used),
   }
-  return {k: v for k, v in ours.items() if v != PAPER[k]}
 
 
-def to_text(differences: dict[str, str]) -> str:
-  """A line a difference, the paper's in brackets."""
+def say_scope(used: Iterable[Run]) -> str:
+  """Whether each network was trained on one category."""
+  single = {len(run.config['category']) == 1 for run in used}
+  return _distinct('one a category' if s else 'one for all categories' for s in sorted(single))
+
+
+def say_training(used: Iterable[Run]) -> str:
+  """Which networks these are, as a sentence of a caption."""
+  used = list(used)
+  epochs = _distinct(f'{runs.epochs_of(run):.4g}' for run in used)
+  seeds = _distinct(str(run.config['seed']) for run in used)
+  return f'Networks: {say_scope(used)}, epochs: {epochs}, seed {seeds}.'
+
+
+def count_models(models: Mapping[str, Mapping[str, Any]]) -> str:
+  """How many models of each category and source there are."""
+  counts: dict[str, int] = {}
+  for m in models.values():
+    name = f'{m["category"]} ({m["source"]})'
+    counts[name] = counts.get(name, 0) + 1
+  return ', '.join(f'{n:,} {name}' for name, n in counts.items())
+
+
+def to_text(differences: Mapping[str, str]) -> str:
+  """A line for each difference, with the paper's value in brackets."""
   lines = [f'- {k}: {v} [{PAPER[k]}]' for k, v in differences.items()]
-  return '\n'.join(['Made otherwise than in the paper (its way in brackets):', *lines])
+  return '\n'.join(["Deviations from the paper's protocol (its values in brackets):", *lines])
 
 
-def _count(f, split, sources):
-  dataset = open_dataset(f.data)
-  models = [dataset.manifest.models[r] for r in data.select_rows(dataset, split, f.category)]
-  counts = Counter((m.category, m.source) for m in models if not sources or m.source in sources)
-  return ', '.join(f'{n:,} {category} ({source})' for (category, source), n in counts.items())
+def _say_statistics(config):
+  count = config['fresh_statistics']
+  return f'statistics of {count} fresh batches' if count else PAPER['BatchNorm at test time']
+
+
+def _distinct(values):
+  return ', '.join(dict.fromkeys(values))

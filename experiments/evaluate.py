@@ -27,12 +27,13 @@ import numpy as np
 from absl import flags, logging
 from tqdm import tqdm
 
-from cvn import baselines, blending, data, environment, errors, methods, metrics
-from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
+from cvn import baselines, blending, checkpoint, data, environment, errors, methods, metrics
+from cvn.dataset import SPLITS, Dataset, digest, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from experiments import scoring
 from experiments.scoring import METRICS, Baseline, Network
+from experiments.stages import argv
 
 UNKNOWN_CAMERA = 'im2avatar_release'  # the source of models whose views have another camera
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
@@ -116,14 +117,45 @@ def run(f: flags.FlagValues) -> int:
       )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
-    told = ('data', 'split', 'shape', 'color', 'flip', 'carve')
-    report = {name: f[name].value for name in told}
-    report |= {'alpha': alpha, 'threshold': threshold} | summarize(dataset, rows, found)
+    report = {'argv': argv(), **{n: f[n].value for n in ('data', 'split', 'shape', 'color')}}
+    report |= {'options': make_options(f, dataset), 'alpha': alpha, 'threshold': threshold}
+    report |= summarize(dataset, rows, found)
     print_report(report)
     if temporary:
       with open(temporary, 'w') as out:
         out.write(json.dumps(report, indent=1, allow_nan=False) + '\n')
   return 0
+
+
+def options(**named: Any) -> dict[str, Any]:
+  """What the program stores as its options when it is started with some flags."""
+  f = flags.FlagValues()
+  define_flags(f)
+  f(['evaluate', *(f'--{k}={v}' for k, v in named.items())])
+  return make_options(f, open_dataset(f.data))
+
+
+def make_options(f: flags.FlagValues, dataset: Dataset) -> dict[str, Any]:
+  """All that the numbers depend on, as JSON values.
+
+  `runs` tells of each network the configuration and the step of its checkpoint. The digest is of
+  the models of all splits: thresholds are chosen on val, baselines are made of train.
+  """
+  rows = [row for s in SPLITS for row in data.select_rows(dataset, s, f.category)]
+  names = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
+  return {
+    'data': dataset.root,
+    'data_digest': digest(dataset, rows),
+    **{n: f[n].value for n in names},
+    'runs': {k: describe_run(f[k].value) for k in ('shape', 'color') if f[k].value},
+  }
+
+
+def describe_run(workdir: str) -> dict[str, Any]:
+  """What identifies a network, wherever its data lay: configuration and step of its run."""
+  config = checkpoint.read_config(workdir)
+  config = {k: v for k, v in config.items() if k not in checkpoint.NOT_COMPARED}
+  return {'step': checkpoint.latest_step(workdir), 'config': config}
 
 
 def is_threshold(text: str | None) -> bool:

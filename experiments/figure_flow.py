@@ -12,7 +12,8 @@ of those two are apart. Trains what is missing, reuses what is there; the figure
 WORKDIR/figures/flow.png.
 """
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from absl import flags
@@ -22,7 +23,9 @@ from cvn import data, environment, errors, figures, metrics, reconstruct, sample
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments import pictures, protocol, scoring
+from experiments import picks, pictures, protocol, scoring
+from experiments.picks import Pick
+from experiments.protocol import Plan
 
 METHOD, TRAINING = 'blended_0.2', 'blended'
 VIEW = 90  # degrees: of the data set's views the nearest to it is the input
@@ -39,25 +42,41 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the figure as the flags say."""
-  dataset = open_dataset(f.data)
+  make_figure(protocol.read_flags(f), name=f.name, tile=f.tile)
+
+
+def make_figure(plan: Plan, *, name: str, tile: int) -> None:
+  """Chooses the object, draws, prints and writes.
+
+  Args:
+    plan: how networks are trained.
+    name: of the files.
+    tile: pixels of each small picture.
+
+  Raises:
+    UserError: there is no finished test model.
+  """
+  dataset = open_dataset(plan.data)
   size = dataset.manifest.grid_size
-  rows = data.select_rows(dataset, 'test', protocol.categories(f), f.source)
+  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
   if len(rows) == 0:
-    raise UserError(f'{f.data} has no finished model in the split test')
+    raise UserError(f'{plan.data} has no finished model in the split test')
   view = int(np.argmin([abs(a - VIEW) for a in dataset.manifest.azimuths]))
   row, symmetry = choose(dataset, rows, view)
-  example = pictures.example_of(dataset, row, view)
+  pick = picks.of(dataset, row, view)
   record = read_record(dataset, row)
-  flows = {'target': record.flow[view], 'estimated': estimate(f, dataset, example, record)}
+  found = pictures.find_runs(plan, [pick], (METHOD,), trainings=(TRAINING,))
+  network = scoring.load(found[pick.model.category][TRAINING].workdir, ['color'], dataset)
+  flows = {'target': record.flow[view], 'estimated': estimate(network, record, view, size)}
   hidden, counterpart = find_pairs(record, view, size).T
   pixels = dataset.manifest.image_size
   gaps = {k: pixels * distance(x[hidden], x[counterpart]) for k, x in flows.items()}
   off = pixels * distance(flows['estimated'], flows['target'])
   caption = (
-    f'{example.model.category} {example.model.id}, IoU with its mirror image {symmetry:.3f}.'
+    f'{pick.model.category} {pick.model.id}, IoU with its mirror image {symmetry:.3f}.'
     f' Median distances in pixels: between the flows of {len(hidden)} hidden voxels and of their'
     f' visible counterparts {gaps["target"]:.1f} (target) and {gaps["estimated"]:.1f} (estimated),'
-    f' from the estimated flow to the target {off:.1f}. {pictures.say_training(f)}'
+    f' from the estimated flow to the target {off:.1f}. {pictures.say_training(found)}'
   )
   print(caption)
   facts = {
@@ -65,9 +84,10 @@ def run(f: flags.FlagValues) -> None:
     'hidden_voxels': len(hidden),
     'pixels_to_counterpart': gaps,
     'pixels_to_target': off,
-    **pictures.describe(f, [example], (METHOD,), trainings=(TRAINING,)),
+    **pictures.describe(plan, [pick], (METHOD,), found),
   }
-  pictures.write(f, draw(f, example, record, flows, size), caption, facts)
+  image = draw(pick, record, flows, grid_size=size, tile=tile)
+  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
 
 
 def choose(dataset: Dataset, rows: Iterable[int], view: int) -> tuple[int, float]:
@@ -100,37 +120,32 @@ def distance(flow: np.ndarray, other: np.ndarray) -> float:
   return float(np.median(np.linalg.norm(flow - other, axis=-1))) if len(flow) else 0.0
 
 
-def estimate(f, dataset: Dataset, example: pictures.Example, record: Record) -> np.ndarray:
+def estimate(network: scoring.Network, record: Record, view: int, grid_size: int) -> np.ndarray:
   """The network's flow at the true surface voxels, [S, 2]."""
-
-  def load(trained_on):
-    return scoring.load(protocol.train(f, TRAINING, trained_on, f.seeds[0]), ['color'], dataset)
-
-  category = example.model.category
-  network = pictures.by_category(f, [category], load)[category]
-  view = record.views[example.view][None].astype(np.float32) / 255
-  size = dataset.manifest.grid_size
-  found = reconstruct.estimate_color(network.variables, view, grid_size=size)
+  image = record.views[view][None].astype(np.float32) / 255
+  found = reconstruct.estimate_color(network.variables, image, grid_size=grid_size)
   return np.asarray(found.flow)[0][tuple(record.surface_index.T)]
 
 
-def draw(f, example, record, flows, size) -> np.ndarray:
-  """The figure: colour code and input, flows and what they fetch from both sides."""
-  view = record.views[example.view]
+def draw(
+  pick: Pick, record: Record, flows: Mapping[str, np.ndarray], *, grid_size: int, tile: int
+) -> np.ndarray:
+  """The figure: colour code and input, flows [S, 2] and what they fetch from both sides."""
+  view = record.views[pick.view]
   image = view[None, ..., :3].astype(np.float32) / 255
   foreground = view[None, ..., 3] >= 128
-  shape = scoring.to_voxels(record, size)
-  seen = example.azimuth - pictures.SIDE
+  shape = scoring.to_voxels(record, grid_size)
+  seen = pick.azimuth - pictures.SIDE
   sides = {'seen side': seen, 'hidden side': -seen}  # x mirrored
 
   def tiles(color):
     volume = np.zeros_like(shape.color)
     volume[tuple(record.surface_index.T)] = color
     voxels = ColoredVoxels(shape.occupancy, volume)
-    return [figures.draw_voxels(voxels, a, size=f.tile) for a in sides.values()]
+    return [figures.draw_voxels(voxels, a, size=tile) for a in sides.values()]
 
-  code = pictures.draw_flow_code(f.tile)
-  upper, lower = [code], [figures.enlarge(view, f.tile)]
+  code = pictures.draw_flow_code(tile)
+  upper, lower = [code], [figures.enlarge(view, tile)]
   titles = ['(a) colour code,\n(b) input']
   for name, flow in flows.items():
     fetched = np.asarray(sampler.nearest_foreground(image, flow[None], foreground))[0]

@@ -9,7 +9,8 @@ are shown on the voxels that the shape network found. Trains what is missing, re
 the figure goes to WORKDIR/figures/intermediate.png.
 """
 
-import functools
+import os
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -18,7 +19,10 @@ from tqdm import tqdm
 
 from cvn import blending, environment, errors, figures, reconstruct
 from cvn.dataset import open_dataset
-from experiments import pictures, protocol
+from cvn.grid import ColoredVoxels
+from experiments import picks, pictures, protocol
+from experiments.picks import Pick
+from experiments.protocol import Plan
 
 BASELINE, METHOD = 'r2n2', 'blended_0.2'
 RESULT_TURNS = (0, 120, 240)  # degrees
@@ -46,29 +50,46 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the figure as the flags say."""
-  dataset = open_dataset(f.data)
-  examples = pictures.choose(f, dataset)
-  categories = pictures.categories_of(examples)
-  predictors, networks = (
-    pictures.by_category(f, categories, functools.partial(make, f, method, seed=f.seeds[0]))
-    for make, method in ((protocol.make_predictor, BASELINE), (protocol.load, METHOD))
+  plan = protocol.read_flags(f)
+  shown = pictures.choose(
+    plan, open_dataset(plan.data), seed=f.figure_seed, per_category=f.per_category
   )
-  rows = []
-  for e in tqdm(examples, desc='draw', unit='model', disable=None):
-    shown = pictures.read(dataset, e)
-    baseline = predictors[e.model.category](shown.batch)[0]
-    rows.append(draw_row(f, e, shown, baseline, networks[e.model.category]))
-  image = pictures.arrange(rows, TITLES, examples)
+  image = draw(plan, shown, tile=f.tile)
+  found = pictures.find_runs(plan, shown, (BASELINE, METHOD))
   caption = (
-    f'{pictures.say_choice(f)} {pictures.say_training(f)} Volumes are seen from'
+    f'{pictures.say_choice(f.figure_seed)} {pictures.say_training(found)} Volumes are seen from'
     f' {pictures.SIDE}° beside the input view, results also from further round.'
   )
-  facts = pictures.describe_choice(f) | pictures.describe(f, examples, (BASELINE, METHOD))
-  pictures.write(f, figures.stack([image, draw_legend(f.tile // 2)]), caption, facts)
+  facts = pictures.describe(plan, shown, (BASELINE, METHOD), found)
+  stem = os.path.join(plan.workdir, 'figures', f.name)
+  pictures.write(stem, image, caption, {'figure_seed': f.figure_seed, **facts})
 
 
-def draw_row(f, example, shown, baseline, networks: protocol.Networks) -> list[np.ndarray]:
-  """The pictures of one example, as `TITLES` names them."""
+def draw(plan: Plan, shown: Sequence[Pick], *, tile: int) -> np.ndarray:
+  """The figure: a row for each pick, and the legend; trains and evaluates what is missing."""
+  dataset, seed = open_dataset(plan.data), plan.seeds[0]
+  categories = picks.categories_of(shown)
+  predictors = pictures.by_category(
+    plan, categories, lambda c: protocol.make_predictor(plan, BASELINE, c, seed)
+  )
+  networks = pictures.by_category(plan, categories, lambda c: protocol.load(plan, METHOD, c, seed))
+  rows = []
+  for pick in tqdm(shown, desc='draw', unit='model', disable=None):
+    known = pictures.read(dataset, pick)
+    baseline = predictors[pick.model.category](known.batch)[0]
+    rows.append(draw_row(pick, known, baseline, networks[pick.model.category], tile=tile))
+  return figures.stack([pictures.arrange(rows, TITLES, shown), draw_legend(tile // 2)])
+
+
+def draw_row(
+  pick: Pick,
+  shown: pictures.Shown,
+  baseline: ColoredVoxels,
+  networks: protocol.Networks,
+  *,
+  tile: int,
+) -> list[np.ndarray]:
+  """The pictures of one pick, as `TITLES` names them."""
   batch = reconstruct.reconstruct(
     networks.shape.variables,
     networks.color.variables,
@@ -86,11 +107,11 @@ def draw_row(f, example, shown, baseline, networks: protocol.Networks) -> list[n
     figures.weight_color_code(weight),
   )
   return [
-    figures.enlarge(shown.view, f.tile),
-    pictures.draw(f, baseline, example),
-    *(pictures.draw(f, voxels._replace(color=v), example) for v in volumes),
-    *(pictures.draw(f, voxels, example, turn) for turn in RESULT_TURNS),
-    pictures.draw(f, shown.true, example),
+    figures.enlarge(shown.view, tile),
+    pictures.draw(baseline, pick, tile=tile),
+    *(pictures.draw(voxels._replace(color=v), pick, tile=tile) for v in volumes),
+    *(pictures.draw(voxels, pick, tile=tile, turn=turn) for turn in RESULT_TURNS),
+    pictures.draw(shown.true, pick, tile=tile),
   ]
 
 

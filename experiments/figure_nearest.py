@@ -11,7 +11,7 @@ and the voxels where it points at the background. Trains what is missing, reuses
 figure goes to WORKDIR/figures/nearest.png.
 """
 
-import functools
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -24,8 +24,9 @@ from cvn import blending, data, environment, errors, figures, metrics, reconstru
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments import pictures, protocol, scoring
-from experiments.pictures import Example
+from experiments import picks, pictures, protocol, scoring
+from experiments.picks import Pick
+from experiments.protocol import Plan
 
 METHOD = 'blended_0.2'
 TITLES = (
@@ -61,29 +62,49 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the figure as the flags say."""
-  dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, 'test', protocol.categories(f), f.source)
+  make_figure(protocol.read_flags(f), name=f.name, tile=f.tile, per_category=f.per_category)
+
+
+def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
+  """Measures all test models, prints, draws and writes.
+
+  Args:
+    plan: how networks are trained.
+    name: of the files.
+    tile: pixels of each small picture.
+    per_category: models to show of each category.
+
+  Raises:
+    UserError: there is no finished test model.
+  """
+  dataset = open_dataset(plan.data)
+  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
   if len(rows) == 0:
-    raise UserError(f'{f.data} has no finished model in the split test')
-  models = [dataset.manifest.models[row] for row in rows]
-  load = functools.partial(protocol.load, f, METHOD, seed=f.seeds[0])
-  networks = pictures.by_category(f, [m.category for m in models], load)
+    raise UserError(f'{plan.data} has no finished model in the split test')
+  categories = [dataset.manifest.models[row].category for row in rows]
+  networks = pictures.by_category(
+    plan, categories, lambda c: protocol.load(plan, METHOD, c, plan.seeds[0])
+  )
   measured = []
-  for row in tqdm(rows, desc='sample', unit='model', disable=None):
-    own = networks[dataset.manifest.models[row].category]
-    measured.append(measure_model(read_record(dataset, row), own, dataset.manifest.grid_size))
-  summary = summarize([m.category for m in models], np.array(measured))
+  for row, category in zip(
+    tqdm(rows, desc='sample', unit='model', disable=None), categories, strict=True
+  ):
+    record = read_record(dataset, row)
+    measured.append(measure_model(record, networks[category], dataset.manifest.grid_size))
+  summary = summarize(categories, np.array(measured))
   print(f'\n{to_markdown(summary)}\n')
-  examples = pick(dataset, rows, np.array(measured)[..., 0], f.per_category)
-  tiles = [draw_row(f, dataset, e, networks[e.model.category]) for e in examples]
+  shown = pick_highest(dataset, rows, np.array(measured)[..., 0], per_category)
+  tiles = [draw_row(dataset, p, networks[p.model.category], tile=tile) for p in shown]
+  found = pictures.find_runs(plan, shown, (METHOD,))
   caption = (
     'In each category the test models with the highest mean share of voxels whose flow points at'
     ' the background, in the view where it is highest. The share is'
     f' {summary["all"]["share"]:.1%} over all views of all {len(rows)} test models.'
-    f' {pictures.say_training(f)}'
+    f' {pictures.say_training(found)}'
   )
-  facts = {'measures': summary, **pictures.describe(f, examples, (METHOD,))}
-  pictures.write(f, pictures.arrange(tiles, TITLES, examples), caption, facts)
+  facts = {'measures': summary, **pictures.describe(plan, shown, (METHOD,), found)}
+  image = pictures.arrange(tiles, TITLES, shown)
+  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
 
 
 def sample(networks: protocol.Networks, views: np.ndarray, grid_size: int) -> list[Sampled]:
@@ -150,9 +171,9 @@ def to_markdown(summary: Mapping[str, Mapping[str, float]]) -> str:
   return '\n'.join(lines)
 
 
-def pick(
+def pick_highest(
   dataset: Dataset, rows: Sequence[int], shares: np.ndarray, per_category: int
-) -> list[Example]:
+) -> list[Pick]:
   """The models with the highest mean share in their categories, each in its highest view.
 
   Args:
@@ -163,24 +184,26 @@ def pick(
   """
   shares = np.nan_to_num(shares)
   counts: Counter[str] = Counter()
-  examples = []
+  found = []
   for n in np.argsort(-shares.mean(1), kind='stable'):
-    example = pictures.example_of(dataset, rows[n], shares[n].argmax())
-    counts[example.model.category] += 1
-    if counts[example.model.category] <= per_category:
-      examples.append(example)
-  return examples
+    pick = picks.of(dataset, rows[n], shares[n].argmax())
+    counts[pick.model.category] += 1
+    if counts[pick.model.category] <= per_category:
+      found.append(pick)
+  return found
 
 
-def draw_row(f, dataset, example, networks) -> list[np.ndarray]:
-  """The pictures of one example, as `TITLES` names them."""
-  shown = pictures.read(dataset, example)
+def draw_row(
+  dataset: Dataset, pick: Pick, networks: protocol.Networks, *, tile: int
+) -> list[np.ndarray]:
+  """The pictures of one pick, as `TITLES` names them."""
+  shown = pictures.read(dataset, pick)
   one = sample(networks, shown.batch, dataset.manifest.grid_size)[0]
   marked = np.where(one.background[..., None], ON_BACKGROUND, ON_FOREGROUND)
   return [
-    figures.enlarge(shown.view, f.tile),
+    figures.enlarge(shown.view, tile),
     *(
-      pictures.draw(f, ColoredVoxels(one.occupancy, color), example)
+      pictures.draw(ColoredVoxels(one.occupancy, color), pick, tile=tile)
       for color in (one.plain, one.nearest, marked)
     ),
   ]

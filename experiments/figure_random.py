@@ -8,11 +8,13 @@ from the opposite side. Trains what is missing, reuses what is there; the figure
 WORKDIR/figures/random.png.
 """
 
+import os
+
 from absl import flags
 
 from cvn import environment, errors
 from cvn.dataset import open_dataset
-from experiments import pictures
+from experiments import pictures, protocol
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -39,12 +41,17 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the figure as the flags say."""
-  dataset = open_dataset(f.data)
-  examples = pictures.choose(f, dataset)
-  image = pictures.draw_results(f, dataset, examples, f.methods)
-  caption = f'{pictures.say_choice(f)} {pictures.say_training(f)}'
-  facts = pictures.describe_choice(f) | pictures.describe(f, examples, f.methods)
-  pictures.write(f, image, caption, facts)
+  plan = protocol.read_flags(f)
+  dataset = open_dataset(plan.data)
+  shown = pictures.choose(plan, dataset, seed=f.figure_seed, per_category=f.per_category)
+  image = pictures.draw_results(plan, dataset, shown, f.methods, tile=f.tile)
+  found = pictures.find_runs(plan, shown, f.methods)
+  pictures.write(
+    os.path.join(plan.workdir, 'figures', f.name),
+    image,
+    f'{pictures.say_choice(f.figure_seed)} {pictures.say_training(found)}',
+    {'figure_seed': f.figure_seed, **pictures.describe(plan, shown, f.methods, found)},
+  )
 
 
 if __name__ == '__main__':

@@ -8,7 +8,6 @@ chosen; the dashed line is the authors' 0.8. WORKDIR/figures/threshold.png, with
 threshold.json.
 """
 
-import json
 import os
 
 import matplotlib.figure
@@ -19,7 +18,8 @@ from cvn import data, environment, errors, methods, metrics
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from experiments import protocol, scoring
+from experiments import differences, pictures, protocol, runs, scoring
+from experiments.protocol import Plan
 
 METHODS = ('cross_entropy', 'msfcel')
 
@@ -35,25 +35,36 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Draws as the flags say."""
-  dataset = open_dataset(f.data)
-  curves = {}
-  for trained_on, judged in protocol.trained_for(f, protocol.categories(f)):
-    rows = data.select_rows(dataset, 'val', judged, f.source)
+  make_figure(protocol.read_flags(f))
+
+
+def make_figure(plan: Plan) -> None:
+  """Finds the curves, draws and writes.
+
+  Raises:
+    UserError: there is no finished model to validate on.
+  """
+  dataset = open_dataset(plan.data)
+  curves, used = {}, []
+  for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan)):
+    rows = data.select_rows(dataset, 'val', judged, plan.sources)
     if len(rows) == 0:
-      raise UserError(f'{f.data} has no finished model in the split val of {", ".join(judged)}')
+      raise UserError(f'{plan.data} has no finished model in the split val of {", ".join(judged)}')
     for method in METHODS:
-      workdir = protocol.train(f, protocol.METHODS[method].shape, trained_on, f.seeds[0])
-      shape = scoring.load(workdir, methods.SHAPE_KINDS, dataset)
+      run = protocol.train(plan, protocol.METHODS[method].shape, trained_on, plan.seeds[0])
+      used.append(run)
+      shape = scoring.load(run.workdir, methods.SHAPE_KINDS, dataset)
       progress = tqdm(rows, desc=f'{method}, {trained_on}', unit='model', disable=None)
       thresholds, iou = scoring.threshold_curve(dataset, progress, shape)
       curves.setdefault(trained_on, {})[method] = {
         'thresholds': thresholds.tolist(),
         'iou': iou.tolist(),
       }
-  stem = os.path.join(f.workdir, 'figures', 'threshold')
+  stem = os.path.join(plan.workdir, 'figures', 'threshold')
   draw(curves, f'{stem}.png')
-  with atomic_write(f'{stem}.json') as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps({'seed': f.seeds[0], 'split': 'val', 'curves': curves}, indent=1) + '\n')
+  caption = f'Mean IoU on the split val by the threshold. {differences.say_training(used)}'
+  facts = {'data': plan.data, 'split': 'val', 'runs': runs.to_json(used), 'curves': curves}
+  pictures.write_facts(stem, caption, facts)
   print(f'{stem}.png')
 
 

@@ -15,25 +15,41 @@ by K-means, each colour counting once; a view's complexity is the number of clus
 """
 
 import os
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import numpy as np
 from absl import flags
-from PIL import Image
 from tqdm import tqdm
 
-from cvn import checkpoint, complexity, data, environment, errors, figures, reconstruct
+from cvn import complexity, data, environment, errors, figures, reconstruct
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
-from cvn.files import atomic_write
-from experiments import people_analysis, people_figures, people_report, protocol, scoring, tables
+from experiments import (
+  people_analysis,
+  people_figures,
+  people_report,
+  picks,
+  pictures,
+  protocol,
+  runs,
+  scoring,
+  tables,
+)
 from experiments.people_analysis import Colors
 from experiments.people_report import Study
+from experiments.picks import Pick
+from experiments.protocol import Plan
+from experiments.runs import Run
+from experiments.tables import Result
 
 DEFAULT_CATEGORY = 'human'
 METHOD = 'blended_0.2'
 TILE = 128  # pixels of each small picture
+CAPTION = (
+  'Degrees are counted from the camera of the input. Flow: the colour code of the place in the'
+  ' input. Weight: of the sampled colour (yellow) and the regressed one (blue), as estimated.'
+)
 FIGURES = ('azimuth', 'complexity', 'results')
 
 
@@ -58,67 +74,93 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Trains and evaluates as the flags say; prints, writes and draws the analysis."""
-  dataset = open_dataset(f.data)
+  plan = protocol.read_flags(f)
+  dataset = open_dataset(plan.data)
   people_analysis.check_azimuths(dataset.manifest.azimuths)
-  category = f.category[0] if f.category else DEFAULT_CATEGORY
-  trained_on = protocol.ALL if f.models == protocol.ALL else category
-  ids, colors = read_colors(f, dataset, category)  # a wrong --t1 is found before the training
-  study = examine(f, dataset, category, trained_on, ids, colors)
+  category = plan.categories[0] if plan.categories else DEFAULT_CATEGORY
+  # A wrong --t1 is found before the training.
+  ids, colors = read_colors(dataset, category, t1=f.t1, clusters=f.clusters, t2=f.t2)
+  results = evaluate(plan, category)
+  study = examine(dataset, category, results, ids, colors)
   print('\n' + people_report.to_markdown(study))
-  stem = os.path.join(f.workdir, 'figures', 'people')
+  stem = os.path.join(plan.workdir, 'figures', 'people')
   title = f'{len(study.models)} test models ({category})\n' + study.networks[0]
   people_figures.plot_azimuths(f'{stem}_azimuth.png', title, study.analysis.by_azimuth)
   people_figures.plot_complexity(
     f'{stem}_complexity.png', title, study.analysis.by_complexity, study.tested, colors.complexity
   )
-  shown = draw_results(f'{stem}_results.png', f, dataset, category, trained_on)
+  rows = data.select_rows(dataset, 'test', [category], plan.sources)
+  rng = np.random.default_rng(f.figure_seed)
+  rows = rng.permutation(rows)[: f.people]
+  views = rng.integers(len(dataset.manifest.azimuths), size=len(rows))
+  shown = [picks.of(dataset, *x) for x in zip(rows, views, strict=True)]
+  networks = protocol.load(plan, METHOD, scope_of(plan, category), plan.seeds[0])
+  facts = {'figure_seed': f.figure_seed, 'rows': [picks.to_json(p) for p in shown]}
+  caption = f'{pictures.say_choice(f.figure_seed)} {CAPTION}'
+  pictures.write(f'{stem}_results', draw_results(dataset, shown, networks), caption, facts)
   print('\n' + '\n'.join(f'{stem}_{k}.png' for k in FIGURES))
-  tables.finish(f, 'people', {**people_report.to_json(study), 'results': shown})
+  tables.finish(plan.workdir, 'people', people_report.to_json(study), results)
 
 
-def read_colors(f: flags.FlagValues, dataset: Dataset, category: str) -> tuple[list[str], Colors]:
+def scope_of(plan: Plan, category: str) -> str:
+  """What the networks for a category are trained on."""
+  return protocol.ALL if plan.models == protocol.ALL else category
+
+
+def evaluate(plan: Plan, category: str) -> list[Result]:
+  """The evaluations of the method, one for each seed."""
+  scope = scope_of(plan, category)
+  return [Result([category], protocol.evaluate(plan, METHOD, scope, s)) for s in plan.seeds]
+
+
+def read_colors(
+  dataset: Dataset, category: str, *, t1: int, clusters: int, t2: int
+) -> tuple[list[str], Colors]:
   """The ids of all finished models of the category, and their views' colours.
 
+  Args:
+    dataset: the open data set.
+    category: of the models.
+    t1, clusters, t2: as of cvn.complexity.
+
   Raises:
-    UserError: there is none, or no colour has --t1 pixels.
+    UserError: there is none, or no colour has t1 pixels.
   """
   rows = np.concatenate([data.select_rows(dataset, s, [category]) for s in SPLITS])
   if len(rows) == 0:
-    raise UserError(f'{f.data} has no finished {category} (make some: datagen.generate)')
+    raise UserError(f'{dataset.root} has no finished {category} (make some: datagen.generate)')
   palettes = [
     [complexity.find_palette(view) for view in read_record(dataset, row).views]
     for row in tqdm(rows, desc='colours', unit='model', disable=None)
   ]
-  colors = people_analysis.measure_colors(palettes, t1=f.t1, clusters=f.clusters, t2=f.t2)
+  colors = people_analysis.measure_colors(palettes, t1=t1, clusters=clusters, t2=t2)
   return [dataset.manifest.models[row].id for row in rows], colors
 
 
 def examine(
-  f: flags.FlagValues,
   dataset: Dataset,
   category: str,
-  trained_on: str,
-  ids: list[str],
+  results: Sequence[Result],
+  ids: Sequence[str],
   colors: Colors,
 ) -> Study:
   """How well the category's test models are reconstructed, in the mean of the seeds, and why.
 
   Args:
-    f: the flags.
     dataset: the open data set.
     category: of the models.
-    trained_on: the category, or `protocol.ALL`.
+    results: evaluations, one for each seed.
     ids: of all models of the category.
     colors: likewise.
 
   Raises:
     UserError: none of them is for testing.
   """
-  reports = [protocol.evaluate(f, METHOD, trained_on, seed) for seed in f.seeds]
+  reports = [r.report for r in results]
   models = reports[0]['networks']['by_model']
   names = [name for name, model in models.items() if model['category'] == category]
   if not names:
-    raise UserError(f'{f.data} has no finished {category} in the split test')
+    raise UserError(f'{dataset.root} has no finished {category} in the split test')
 
   def mean_of_seeds(who, metric):
     found = [[r[who]['by_model'][name][metric] for name in names] for r in reports]
@@ -126,10 +168,9 @@ def examine(
 
   scores = {metric: mean_of_seeds('networks', metric) for metric in scoring.METRICS}
   tested = colors.complexity[[ids.index(name) for name in names]]
-  own = protocol.METHODS[METHOD]
   return Study(
     category,
-    [describe_network(f, t, trained_on, seed) for seed in f.seeds for t in (own.shape, own.color)],
+    [describe_network(run) for report in reports for run in runs.of_report(report)],
     [r['threshold'] for r in reports],
     names,
     scores,
@@ -140,59 +181,40 @@ def examine(
   )
 
 
-def describe_network(f: flags.FlagValues, training: str, trained_on: str, seed: str) -> str:
+def describe_network(run: Run) -> str:
   """A network and the length of its training, for people."""
-  workdir = protocol.train(f, training, trained_on, seed)
-  config = checkpoint.read_config(workdir)
-  steps = checkpoint.latest_step(workdir)
-  epochs = steps / (config['models'] // config['batch_size'])
+  models, batch = run.config['models'], run.config['batch_size']
   return (
-    f'{os.path.basename(workdir)}: {epochs:.3g} epochs of {config["models"]} models,'
-    f' {steps} steps of {config["batch_size"]}'
+    f'{os.path.basename(run.workdir)}: {runs.epochs_of(run):.3g} epochs of {models} models,'
+    f' {run.step} steps of {batch}'
   )
 
 
 def draw_results(
-  path: str, f: flags.FlagValues, dataset: Dataset, category: str, trained_on: str
-) -> dict[str, Any]:
-  """Draws reconstructions of random test models; returns what they are, as JSON values."""
-  azimuths, size = dataset.manifest.azimuths, dataset.manifest.grid_size
-  networks = protocol.load(f, METHOD, trained_on, f.seeds[0])
-  rng = np.random.default_rng(f.figure_seed)
-  rows = rng.permutation(data.select_rows(dataset, 'test', [category], f.source))[: f.people]
-  views = rng.integers(len(azimuths), size=len(rows))
-  pictures, shown = [], []
-  for row, view in zip(tqdm(rows, desc='draw', unit='model', disable=None), views, strict=True):
-    record = read_record(dataset, row)
+  dataset: Dataset, shown: Sequence[Pick], networks: protocol.Networks
+) -> np.ndarray:
+  """Reconstructions of some test models, a row each."""
+  size = dataset.manifest.grid_size
+  rows = []
+  for pick in tqdm(shown, desc='draw', unit='model', disable=None):
+    record = read_record(dataset, pick.row)
     batch = reconstruct.reconstruct(
       networks.shape.variables,
       networks.color.variables,
-      record.views[[view]].astype(np.float32) / 255,
+      record.views[[pick.view]].astype(np.float32) / 255,
       alpha=networks.alpha,
       grid_size=size,
     )
     one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
     voxels = reconstruct.to_voxels(one, networks.threshold)
     true = scoring.to_voxels(record, size)
-    azimuth = azimuths[view]
-    pictures.append(
-      people_figures.draw_result(record.views[view], azimuth, one, voxels, true, size=TILE)
-    )
-    shown.append({'model': dataset.manifest.models[row].id, 'azimuth': azimuth})
-  image = figures.grid_of_images(
-    pictures,
+    view = record.views[pick.view]
+    rows.append(people_figures.draw_result(view, pick.azimuth, one, voxels, true, size=TILE))
+  return figures.grid_of_images(
+    rows,
     column_titles=people_figures.TITLES,
-    row_titles=[f'{s["model"]}\nfrom {s["azimuth"]:g}°' for s in shown],
+    row_titles=[f'{p.model.id}\nfrom {p.azimuth:g}°' for p in shown],
   )
-  caption = (
-    f'Test models and views drawn at random, not chosen: seed {f.figure_seed}. Degrees are'
-    ' counted from the camera of the input. Flow: the colour code of the place in the input.'
-    ' Weight: of the sampled colour (yellow) and the regressed one (blue), as estimated.'
-  )
-  image = figures.stack([image, figures.draw_text(caption, image.shape[1])])
-  with atomic_write(path) as temporary:
-    Image.fromarray(image).save(temporary)
-  return {'figure_seed': f.figure_seed, 'seed': f.seeds[0], 'shown': shown}
 
 
 if __name__ == '__main__':

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from scipy import stats
 
 from cvn.files import atomic_write
+from experiments.stages import argv
 
 ALL = 'all'  # in the place of a category; as many shapes each, and it is the paper's average
 OURS_COLOR = '#3b75af'
@@ -137,11 +138,13 @@ def draw(
   return figure
 
 
-def write(output: str, name: str, report: Any, chart: matplotlib.figure.Figure) -> None:
-  """Writes NAME.json and NAME.png to a folder, and says where they are."""
+def write(
+  output: str, name: str, report: Mapping[str, Any], chart: matplotlib.figure.Figure
+) -> None:
+  """Writes NAME.json, with the command, and NAME.png to a folder, and says where they are."""
   path = os.path.join(output, name)
   with atomic_write(f'{path}.json') as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps(report, indent=1) + '\n')
+    out.write(json.dumps({'argv': argv(), **report}, indent=1) + '\n')
   with atomic_write(f'{path}.png') as temporary:
     chart.savefig(temporary, dpi=150, metadata={'Software': None})
   print(f'{path}.png, {path}.json')

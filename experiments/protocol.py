@@ -1,6 +1,7 @@
 """The paper's methods as trainings and evaluations, for the programs of its tables and figures.
 
-Everything lies below --workdir and is reused by all programs that need it:
+Everything lies below --workdir and is reused by all programs that ask for the same (see
+experiments.runs):
 
   runs/<training>_<category or 'all'>_<seed>                    what experiments.train writes
   scores/<method>_<category or 'all'>_<seed>[_<source>]_<split>[_val].json
@@ -17,13 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from absl import flags
 
-from cvn import blending, checkpoint, methods
+from cvn import blending, methods
 from cvn.dataset import Manifest, open_dataset
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments import scoring
+from experiments import runs, scoring
 from experiments.evaluate import ALPHAS
-from experiments.stages import read_json, run_program
+from experiments.runs import Run
 from experiments.train import DTYPES
 
 ALL = 'all'  # in the place of a category: one model for all of them
@@ -117,56 +118,91 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.mark_flags_as_required(['data', 'workdir'], f)
 
 
-def categories(f: flags.FlagValues) -> list[str]:
-  """The categories that the flags name or, without any, the data set's, the paper's first.
+class Plan(NamedTuple):
+  """On what networks are trained and evaluated, and how."""
+
+  data: str  # the folder or URL of the data set
+  workdir: str
+  categories: tuple[str, ...]  # empty for all of the data set
+  models: str  # 'category', or `ALL`
+  seeds: tuple[str, ...]
+  train_sources: tuple[str, ...]  # empty for all
+  sources: tuple[str, ...]  # of models to validate and test on; empty for all
+  epochs: int
+  batch_size: int
+  learning_rate: float | None  # None for the recipe's
+  fresh_statistics: int
+  dtype: str
+  threshold: str  # 'paper' or 'val'
+
+
+def read_flags(f: flags.FlagValues) -> Plan:
+  """The plan that the shared flags describe."""
+  return Plan(
+    f.data,
+    f.workdir,
+    tuple(f.category),
+    f.models,
+    tuple(f.seeds),
+    tuple(f.train_source),
+    tuple(f.source),
+    1 if f.quick else f.epochs,
+    f.batch_size,
+    f.learning_rate,
+    f.fresh_statistics,
+    f.dtype,
+    f.threshold,
+  )
+
+
+def categories(plan: Plan) -> list[str]:
+  """The plan's categories or, where it names none, the data set's, the paper's first.
 
   Raises:
     UserError: the data set has no such category.
   """
-  known = {m.category for m in open_dataset(f.data).manifest.models}
-  for name in f.category:
+  known = {m.category for m in open_dataset(plan.data).manifest.models}
+  for name in plan.categories:
     if name not in known:
-      raise UserError(f'{f.data} has no category {name!r}; it has {", ".join(sorted(known))}')
-  wanted = f.category or [*PAPER_CATEGORIES, *sorted(known.difference(PAPER_CATEGORIES))]
+      raise UserError(f'{plan.data} has no category {name!r}; it has {", ".join(sorted(known))}')
+  wanted = plan.categories or (*PAPER_CATEGORIES, *sorted(known.difference(PAPER_CATEGORIES)))
   return [c for c in wanted if c in known]
 
 
-def train(f: flags.FlagValues, training: str, category: str, seed: str) -> str:
-  """Trains a network, or what is missing of it; returns its folder.
+def train(plan: Plan, training: str, category: str, seed: str) -> Run:
+  """Trains a network, or what is missing of it.
 
   Args:
-    f: the shared flags.
+    plan: how.
     training: a key of `TRAININGS`.
     category: or `ALL`.
     seed: of everything random.
+
+  Raises:
+    UserError: the network that is there was trained otherwise.
   """
-  workdir = os.path.join(f.workdir, 'runs', f'{training}_{category}_{seed}')
-  epochs = 1 if f.quick else f.epochs
-  if _epochs_done(workdir) >= epochs:
-    return workdir
   named: dict[str, Any] = {
     **TRAININGS[training],
-    'data': f.data,
-    'workdir': workdir,
-    'category': ','.join(f.category) if category == ALL else category,
-    'source': ','.join(f.train_source),
-    'validation_source': ','.join(f.source),
-    'epochs': epochs,
-    'batch_size': f.batch_size,
+    'data': plan.data,
+    'workdir': os.path.join(plan.workdir, 'runs', f'{training}_{category}_{seed}'),
+    'category': ','.join(plan.categories) if category == ALL else category,
+    'source': ','.join(plan.train_sources),
+    'validation_source': ','.join(plan.sources),
+    'epochs': plan.epochs,
+    'batch_size': plan.batch_size,
     'seed': seed,
-    'dtype': f.dtype,
-    'fresh_statistics': f.fresh_statistics,
-    'validate_every': max(1, epochs // VALIDATIONS),
+    'dtype': plan.dtype,
+    'fresh_statistics': plan.fresh_statistics,
+    'validate_every': max(1, plan.epochs // VALIDATIONS),
     'validation_views': VALIDATION_VIEWS,
   }
-  if f.learning_rate is not None:
-    named['learning_rate'] = f.learning_rate
-  run_program(f.workdir, 'experiments.train', **named)
-  return workdir
+  if plan.learning_rate is not None:
+    named['learning_rate'] = plan.learning_rate
+  return runs.train(plan.workdir, **named)
 
 
 def evaluate(
-  f: flags.FlagValues,
+  plan: Plan,
   method: str,
   category: str,
   seed: str,
@@ -177,37 +213,39 @@ def evaluate(
   """Evaluates a method on held-out models, training what it needs.
 
   Args:
-    f: the shared flags.
+    plan: how.
     method: a key of `METHODS`.
-    category: of the models it was trained on and is judged by, or `ALL`.
+    category: of the models it was trained on and is evaluated on, or `ALL`.
     seed: of everything random.
-    split: to judge it on.
-    threshold: 'paper' or 'val', instead of what --threshold says.
+    split: to evaluate on.
+    threshold: 'paper' or 'val', instead of the plan's.
 
   Returns:
     The report that experiments.evaluate writes.
+
+  Raises:
+    UserError: the networks or scores that are there were made otherwise.
   """
   own = METHODS[method]
-  chosen = 'val' in (own.threshold, threshold or f.threshold)
-  workdirs = {'shape': train(f, own.shape, category, seed)}
+  chosen = 'val' in (own.threshold, threshold or plan.threshold)
+  workdirs = {'shape': train(plan, own.shape, category, seed).workdir}
   if own.color:
-    workdirs['color'] = train(f, own.color, category, seed)
-  name = '_'.join([method, category, seed, *f.source, split, *(['val'] if chosen else [])])
-  report = os.path.join(f.workdir, 'scores', f'{name}.json')
-  asked = {
-    'data': f.data,
-    'split': split,
-    'category': ','.join(f.category) if category == ALL else category,
-    'source': ','.join(f.source),
-    'alpha': own.alpha,
-    'flip': str(own.flip).lower(),
-    'carve': str(own.carve).lower(),
+    workdirs['color'] = train(plan, own.color, category, seed).workdir
+  name = '_'.join([method, category, seed, *plan.sources, split, *(['val'] if chosen else [])])
+  return runs.evaluate(
+    plan.workdir,
+    data=plan.data,
+    split=split,
+    category=','.join(plan.categories) if category == ALL else category,
+    source=','.join(plan.sources),
+    alpha=own.alpha,
+    flip=str(own.flip).lower(),
+    carve=str(own.carve).lower(),
+    baselines='true',
+    json=os.path.join(plan.workdir, 'scores', f'{name}.json'),
     **({'threshold': 'val'} if chosen else {}),
     **workdirs,
-  }
-  if not _is_newer(report, workdirs.values()) or not _is_of(read_json(report), own):
-    run_program(f.workdir, 'experiments.evaluate', baselines='true', json=report, **asked)
-  return read_json(report)
+  )
 
 
 class Networks(NamedTuple):
@@ -219,16 +257,16 @@ class Networks(NamedTuple):
   alpha: float  # of the blend
 
 
-def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks:
+def load(plan: Plan, method: str, category: str, seed: str) -> Networks:
   """A method's networks; trains and evaluates what it needs.
 
   Arguments as of `evaluate`; the method must give colours.
   """
   own = METHODS[method]
-  dataset = open_dataset(f.data)
-  report = evaluate(f, method, category, seed)
+  dataset = open_dataset(plan.data)
+  report = evaluate(plan, method, category, seed)
   shape, color = (
-    scoring.load(train(f, training, category, seed), kinds, dataset)
+    scoring.load(train(plan, training, category, seed).workdir, kinds, dataset)
     for training, kinds in (
       (own.shape, methods.SHAPE_KINDS),
       (own.color, methods.COLOR_KINDS),
@@ -238,14 +276,14 @@ def load(f: flags.FlagValues, method: str, category: str, seed: str) -> Networks
 
 
 def make_predictor(
-  f: flags.FlagValues, method: str, category: str, seed: str
+  plan: Plan, method: str, category: str, seed: str
 ) -> Callable[[np.ndarray], list[ColoredVoxels]]:
   """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
 
   Arguments as of `load`.
   """
-  networks = load(f, method, category, seed)
-  manifest = open_dataset(f.data).manifest
+  networks = load(plan, method, category, seed)
+  manifest = open_dataset(plan.data).manifest
   return lambda views: predict(method, networks, views, manifest)
 
 
@@ -262,29 +300,6 @@ def predict(
   return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
 
 
-def trained_for(f: flags.FlagValues, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:
-  """Pairs (what a model is trained on, the categories it is judged by)."""
-  return [(ALL, [*wanted])] if f.models == ALL else [(c, [c]) for c in wanted]
-
-
-def _epochs_done(workdir):
-  """The epoch of the newest checkpoint."""
-  step = checkpoint.latest_step(workdir)
-  if not step:
-    return 0
-  config = checkpoint.read_config(workdir)
-  return step / (config['models'] // config['batch_size'])
-
-
-def _is_of(report, method):
-  """Whether a report was made with the method's options at test time."""
-  found = report.get('flip', False), report.get('carve', False)
-  return found == (method.flip, method.carve)
-
-
-def _is_newer(report, workdirs):
-  """Whether a report was written after the networks it judges."""
-  if not os.path.exists(report):
-    return False
-  trained = max(os.path.getmtime(os.path.join(w, 'checkpoints')) for w in workdirs)
-  return os.path.getmtime(report) >= trained
+def trained_for(plan: Plan, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:
+  """Pairs (what a model is trained on, the categories it is evaluated on)."""
+  return [(ALL, [*wanted])] if plan.models == ALL else [(c, [c]) for c in wanted]

@@ -31,8 +31,8 @@ class Data(NamedTuple):
 
 def data_of(workdir: Workdir) -> list[str]:
   """The places of the data sets that a folder's results are of."""
-  found = [s.data for s in workdir.scores] + [t.settings['data'] for t in workdir.tables.values()]
-  found += [workdir.people.settings['data']] if workdir.people else []
+  found = [s.data for s in workdir.scores] + [t.source.data for t in workdir.tables.values()]
+  found += [workdir.people.source.data] if workdir.people else []
   found += [t.config['data'] for t in workdir.trainings if 'data' in t.config]
   return list(dict.fromkeys(to_url(d) for d in found))
 

@@ -5,35 +5,38 @@ program writes ends the report with a line that names it.
 """
 
 import contextlib
+import functools
 import glob
 import io
 import itertools
 import json
 import math
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from PIL import Image
 
 from cvn.errors import UserError
 from cvn.intervals import Estimate
-from experiments import protocol
+from experiments import differences, protocol
 from experiments.report_results import (
   SOURCES,
-  Comparison,
   Figure,
   Line,
   Lines,
   Number,
   People,
   Score,
+  Source,
   Tabled,
   Training,
   Workdir,
   span,
 )
+from experiments.runs import Run
 from experiments.stages import read_bytes, read_json
+from experiments.tables import Comparison
 
 # The parts of each table that is read.
 PARTS: Mapping[str, Sequence[str]] = {
@@ -42,16 +45,6 @@ PARTS: Mapping[str, Sequence[str]] = {
   'ablation': ('val iou', 'test iou', 'val psnr_rgb', 'test psnr_rgb'),
   'structure': ('iou', 'psnr_rgb'),
 }
-# What `tables.describe` tells that is read.
-SETTINGS = (
-  *('data', 'models', 'epochs', 'batch_size', 'learning_rate', 'dtype', 'seeds'),
-  *('fresh_statistics', 'train_source', 'source', 'threshold', 'quick'),
-)
-
-_COMPARISON = re.compile(
-  r'(.+) - (.+): (\S+) ± (\S+) over (\d+) models, median (\S+), above in (\S+%)'
-  r'(?:; by seed (.+))?'
-)
 
 
 def read_workdirs(paths: Sequence[str]) -> list[Workdir]:
@@ -109,27 +102,17 @@ def read_table(path: str) -> Tabled:
   table = read_json(path)
   name = os.path.splitext(os.path.basename(path))[0]
   with damage(path):
-    if name == 'ablation':
-      parts = {
-        f'{split} {metric}': Lines(_rows(table[split][metric]), [])
-        for split, metric in (p.split() for p in PARTS[name])
-      }
-      for metric, line in table['comparisons'].items():
-        parts[f'test {metric}'].comparisons.append(read_comparison(line))
-    else:
-      parts = {part: _lines(table[part]) for part in PARTS[name]}
-    return Tabled(_settings(table), parts)
+    parts = {part: _lines(functools.reduce(dict.get, part.split(), table)) for part in PARTS[name]}
+    return Tabled(read_source(table), parts)
 
 
-def read_comparison(line: str) -> Comparison:
-  """The numbers of a line that `tables.compare` has made; `ValueError` where it is none."""
-  found = _COMPARISON.fullmatch(line)
-  if not found:
-    raise ValueError(line)
-  better, other, difference, error, models, median, above, seeds = found.groups()
-  by_seed = [float(x) for x in seeds.split(', ')] if seeds else []
-  numbers = float(difference), float(error), int(models), float(median)
-  return Comparison(better, other, *numbers, above, by_seed)
+def read_source(found: Mapping[str, Any]) -> Source:
+  """What a file of results tells of how they were made."""
+  runs = {
+    str(name): {**run, 'step': int(run['step']), 'category': list(run['category'])}
+    for name, run in found['runs'].items()
+  }
+  return Source([str(x) for x in found['argv']], str(found['data']), runs)
 
 
 def read_people(path: str) -> People:
@@ -137,7 +120,7 @@ def read_people(path: str) -> People:
   found = read_json(path)
   with damage(path):
     return People(
-      _settings(found),
+      read_source(found),
       str(found['category']),
       [str(n) for n in found['networks']],
       len(found['test_models']),
@@ -169,10 +152,9 @@ def read_training(folder: str) -> Training | None:
   with damage(config_path):
     batch = int(config['batch_size'])
     epoch = config['models'] // batch if batch > 0 else 0  # steps
-    learning_rate = config.get('learning_rate')
-    numbers = learning_rate is None or isinstance(learning_rate, int | float)
-    if not (epoch and numbers and isinstance(config.get('category', []), list)):
+    if not epoch:
       raise ValueError(config)
+    differences.describe([Run(folder, config, 0)])  # raises where it is of another form
   text = read_bytes(log_path).decode(errors='replace')
   training, scope, seed = name.rsplit('_', 2)
   with damage(log_path):
@@ -219,6 +201,7 @@ def read_score(path: str) -> Score | None:
       float(found['threshold']),
       float(found['alpha']),
       {n: str(m['category']) for n, m in found['networks']['by_model'].items()},
+      dict(found['options']['runs']),
     )
 
 
@@ -248,7 +231,7 @@ def damage(path: str) -> Iterator[None]:
   try:
     yield
   except (AttributeError, IndexError, KeyError, OSError, TypeError, ValueError) as e:
-    raise UserError(f'{path} is damaged: remove it and make it again') from e
+    raise UserError(f'{path} is damaged or of another version: remove it and make it again') from e
 
 
 def _distinct(name: str, taken: Sequence[str]) -> str:
@@ -260,14 +243,12 @@ def _distinct(name: str, taken: Sequence[str]) -> str:
 def _label(tables: Mapping[str, Tabled], trainings: Sequence[Training]) -> str:
   """What networks the tables are of or, without tables, which have been trained."""
   if tables:
-    first = next(iter(tables.values()))
-    seeds = {*first.settings['seeds']}
-    scopes = {c for lines in first.parts.values() for row in lines.rows for c in row.categories}
-    scopes = {protocol.ALL} if first.settings['models'] == protocol.ALL else scopes
+    used = [*next(iter(tables.values())).source.runs.values()]
   else:
-    scopes, seeds = ({getattr(t, k) for t in trainings} for k in ('scope', 'seed'))
-  names = sorted(scopes - {protocol.ALL})
-  parts = ['one network for all categories'] * (protocol.ALL in scopes)
+    used = [t.config for t in trainings]
+  names = sorted({c for x in used if len(x['category']) == 1 for c in x['category']})
+  seeds = {str(x.get('seed')) for x in used}
+  parts = ['one network for all categories'] * any(len(x['category']) != 1 for x in used)
   parts += [f'a network a category ({", ".join(names)})'] * bool(names)
   parts += [f'{len(seeds)} seeds'] * (len(seeds) > 1)
   sources = {s: None for t in trainings for s in t.config.get('source', [])}
@@ -287,13 +268,16 @@ def _in(path, *names):
   return os.path.join(glob.escape(path), *names)
 
 
-def _settings(table):
-  return {k: table[k] for k in SETTINGS} | {k: table[k] for k in ('methods',) if k in table}
-
-
 def _lines(part) -> Lines:
-  comparisons = part['comparisons'] if 'comparisons' in part else [part['comparison']]
-  return Lines(_rows(part['rows']), [read_comparison(c) for c in comparisons])
+  return Lines(_rows(part['rows']), [_comparison(c) for c in part['comparisons']])
+
+
+def _comparison(found) -> Comparison:
+  c = Comparison(**found)
+  numbers = (c.difference, c.error, c.models, c.median, c.above, *c.seeds)
+  if not all(isinstance(x, int | float) for x in numbers):
+    raise ValueError(found)
+  return c._replace(better=str(c.better), other=str(c.other))
 
 
 def _rows(rows) -> list[Line]:

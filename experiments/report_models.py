@@ -5,7 +5,6 @@ import gzip
 import os
 import tempfile
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -13,8 +12,9 @@ from tqdm import tqdm
 from cvn import export, figures, methods, metrics
 from cvn.dataset import Dataset, read_record, to_url
 from cvn.grid import ColoredVoxels
-from experiments import protocol, scoring
+from experiments import evaluate, picks, protocol, scoring
 from experiments.demo_page import to_png
+from experiments.picks import Pick
 from experiments.report_blocks import Example, Examples, Picture, Turnable
 from experiments.report_facts import Data
 from experiments.report_results import Score, Workdir
@@ -22,14 +22,6 @@ from experiments.report_results import Score, Workdir
 SHOWN = {'blended_0.2': 'paper’s method', 'best': 'recipe best'}  # the methods, and short names
 BESIDE = 30  # degrees from the input's camera: where models are first seen from
 STILL = 192  # pixels of a still picture
-
-
-class Chosen(NamedTuple):
-  """A test model, a view, and the networks that reconstruct it."""
-
-  row: int
-  view: int
-  scores: dict[str, Score]  # by method
 
 
 def make_examples(
@@ -47,7 +39,7 @@ def make_examples(
   chosen = choose(workdir, data, per_category=per_category, seed=seed)
   progress = tqdm(chosen, desc=f'models of {workdir.path}', unit='model', disable=None)
   load = functools.cache(functools.partial(_load, dataset=data.dataset))
-  made = [_make(data.dataset, c, load) for c in progress]
+  made = [_make(data.dataset, pick, scores, load) for pick, scores in progress]
   if not made:
     return None
   titles = [m.title for m in max((example.models for example, _ in made), key=len)]
@@ -60,8 +52,11 @@ def make_examples(
   return Examples([e for e, _ in made], Picture(name, to_png(still), caption))
 
 
-def choose(workdir: Workdir, data: Data, *, per_category: int, seed: int) -> list[Chosen]:
-  """Test models and views at random, of each category that some networks were judged on.
+def choose(
+  workdir: Workdir, data: Data, *, per_category: int, seed: int
+) -> list[tuple[Pick, dict[str, Score]]]:
+  """Test models and views at random, of each category that some networks were evaluated on, with
+  the evaluations by method.
 
   Arguments as of `make_examples`.
   """
@@ -84,7 +79,7 @@ def choose(workdir: Workdir, data: Data, *, per_category: int, seed: int) -> lis
     for n in rng.permutation(len(names))[:per_category]:
       view = int(rng.integers(len(manifest.azimuths)))
       own = {m: _located(workdir, scores[m]) for m in SHOWN if m in scores}
-      chosen.append(Chosen(rows[names[n]], view, own))
+      chosen.append((picks.of(data.dataset, rows[names[n]], view), own))
   return chosen
 
 
@@ -97,15 +92,16 @@ def to_glb(voxels: ColoredVoxels) -> bytes:
       return gzip.compress(f.read(), mtime=0)
 
 
-def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndarray]]:
+def _make(
+  dataset: Dataset, pick: Pick, scores: dict[str, Score], load
+) -> tuple[Example, list[np.ndarray]]:
   """An example, and still pictures of its view and models."""
-  manifest = dataset.manifest
-  model, azimuth = manifest.models[chosen.row], manifest.azimuths[chosen.view]
-  record = read_record(dataset, chosen.row)
-  view = record.views[chosen.view]
+  manifest, model = dataset.manifest, pick.model
+  record = read_record(dataset, pick.row)
+  view = record.views[pick.view]
   true = scoring.to_voxels(record, manifest.grid_size)
   shown: list[tuple[str, str, ColoredVoxels]] = []
-  for method, score in chosen.scores.items():
+  for method, score in scores.items():
     networks = protocol.Networks(
       load(score.shape, methods.SHAPE_KINDS),
       load(score.color, methods.COLOR_KINDS),
@@ -117,7 +113,7 @@ def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndar
     iou = float(metrics.iou(found.occupancy, true.occupancy))
     shown.append((SHOWN[method], f'threshold {score.threshold:.2f}, IoU {iou:.2f}', found))
   shown.append(('truth', '', true))
-  start = azimuth + BESIDE
+  start = pick.azimuth + BESIDE
   models = [
     Turnable(title, note, to_glb(voxels) if voxels.occupancy.any() else b'')
     for title, note, voxels in shown
@@ -125,17 +121,20 @@ def _make(dataset: Dataset, chosen: Chosen, load) -> tuple[Example, list[np.ndar
   tiles = [figures.enlarge(view, STILL)]
   tiles += [figures.draw_voxels(voxels, start, size=STILL) for *_, voxels in shown]
   credit = ', '.join(x for x in (model.id, model.creator, model.licence) if x)
-  title = f'{model.category}, seen from {azimuth:g}°'
+  title = f'{model.category}, seen from {pick.azimuth:g}°'
   example = Example(title, to_png(figures.over(view)), start, models, f'{credit}.')
   return example, tiles
 
 
 def _networks(workdir: Workdir, score: Score) -> bool:
-  """Whether the networks of an evaluation are still there."""
+  """Whether the networks of an evaluation are still there, as they were evaluated."""
   located = _located(workdir, score)
+  folders = {'shape': located.shape, 'color': located.color}
   return all(
-    folder and os.path.isdir(os.path.join(folder, 'checkpoints'))
-    for folder in (located.shape, located.color)
+    folder
+    and os.path.isdir(os.path.join(folder, 'checkpoints'))
+    and evaluate.describe_run(folder) == score.runs.get(kind)
+    for kind, folder in folders.items()
   )
 
 

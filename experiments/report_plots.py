@@ -15,8 +15,9 @@ import numpy as np
 from experiments import protocol
 from experiments.evaluate import ALPHAS
 from experiments.report_blocks import Picture
-from experiments.report_results import Comparison, Line, Lines, Training
+from experiments.report_results import Line, Lines, Training
 from experiments.report_tables import mean_over_models
+from experiments.tables import Comparison
 
 INK = '#222222'  # becomes the page's colour of text
 _RC = {

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from cvn.intervals import Estimate
+from experiments.tables import Comparison
 
 # Of models, in words.
 SOURCES = {
@@ -34,19 +35,6 @@ class Line(NamedTuple):
   published: float  # the paper's mean of the categories
 
 
-class Comparison(NamedTuple):
-  """How much a method is above another, model by model."""
-
-  better: str
-  other: str
-  difference: float
-  error: float  # standard error over models
-  models: int
-  median: float  # of the models' differences
-  above: str  # share of the models, such as '71%'
-  seeds: list[float]  # the difference by seed; empty for one seed
-
-
 class Lines(NamedTuple):
   """A table of methods."""
 
@@ -54,17 +42,25 @@ class Lines(NamedTuple):
   comparisons: list[Comparison]
 
 
+class Source(NamedTuple):
+  """What a program told of how it made its results."""
+
+  argv: list[str]  # its command
+  data: str  # the data set
+  runs: dict[str, dict[str, Any]]  # configurations and steps of networks, see `runs.to_json`
+
+
 class Tabled(NamedTuple):
   """What one program of tables found."""
 
-  settings: dict[str, Any]  # see `report_gather.SETTINGS`
+  source: Source
   parts: dict[str, Lines]  # see `report_gather.PARTS`
 
 
 class People(NamedTuple):
   """What experiments.people found."""
 
-  settings: dict[str, Any]
+  source: Source
   category: str
   networks: list[str]
   models: int
@@ -101,6 +97,7 @@ class Score(NamedTuple):
   threshold: float
   alpha: float
   models: dict[str, str]  # category of each model, by id
+  runs: dict[str, dict[str, Any]]  # what identifies the networks, see `evaluate.describe_run`
 
 
 class Figure(NamedTuple):

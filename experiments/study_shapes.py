@@ -1,35 +1,24 @@
-"""What the user study and its automatic stand-in judge: random held-out views, and what is made of
-them."""
+"""Random held-out views and the methods' results for them, for the user study and its stand-in."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from absl import flags
 
-from cvn import data
-from cvn.dataset import Dataset, Record, open_dataset, read_record
-from cvn.errors import UserError
+from cvn.dataset import Record, open_dataset, read_record
 from cvn.grid import ColoredVoxels
-from experiments import protocol
-
-COLORED = tuple(name for name, m in protocol.METHODS.items() if m.color)
-
-
-class Shape(NamedTuple):
-  """A test model and the view that the methods are given."""
-
-  row: int  # of the data set
-  view: int
-  id: str
-  category: str
-  azimuth: float  # degrees
+from experiments import picks, pictures, protocol, runs
+from experiments.picks import Pick
+from experiments.pictures import COLORED
+from experiments.protocol import Plan
 
 
 class Results(NamedTuple):
-  """What the methods make of a shape."""
+  """What the methods make of a view."""
 
-  shape: Shape
+  pick: Pick
   record: Record
   voxels: dict[str, ColoredVoxels]  # by method
 
@@ -61,46 +50,31 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.register_validator('seeds', lambda s: len(s) == 1, 'must be one: that of the networks', f)
 
 
-def choose(f: flags.FlagValues) -> list[Shape]:
-  """Random models of the split test, so many of each category, and a random view of each.
-
-  Raises:
-    UserError: there is no finished one.
-  """
-  dataset = open_dataset(f.data)
-  rng = np.random.default_rng(f.study_seed)
-  chosen = []
-  for category in protocol.categories(f):
-    rows = data.select_rows(dataset, 'test', [category], f.source)
-    for row in rng.permutation(rows)[: f.shapes]:
-      view = int(rng.integers(len(dataset.manifest.azimuths)))
-      chosen.append(_shape(dataset, int(row), view))
-  if not chosen:
-    raise UserError(f'{f.data} has no finished model in the split test')
-  return chosen
+def choose(plan: Plan, *, shapes: int, seed: int) -> list[Pick]:
+  """Random test models, so many of each category, and a random view of each; see `picks.choose`."""
+  options = {'sources': plan.sources, 'per_category': shapes, 'seed': seed}
+  return picks.choose(open_dataset(plan.data), protocol.categories(plan), **options)
 
 
-def describe(shapes: Sequence[Shape]) -> str:
+def describe(shown: Sequence[Pick]) -> str:
   """How many there are, by category."""
-  names = dict.fromkeys(s.category for s in shapes)
-  counts = [f'{sum(s.category == c for s in shapes)} {c}' for c in names]
-  return f'{len(shapes)} shapes: {", ".join(counts)}'
+  counts = Counter(p.model.category for p in shown)
+  return f'{len(shown)} shapes: {", ".join(f"{n} {c}" for c, n in counts.items())}'
 
 
-def reconstruct(f: flags.FlagValues, shapes: Sequence[Shape]) -> Iterator[Results]:
-  """Every method's result for each shape; networks that are missing are trained first."""
-  dataset = open_dataset(f.data)
-  names = list(dict.fromkeys(s.category for s in shapes))
-  for trained, judged in protocol.trained_for(f, names):
-    predictors = {
-      m: protocol.make_predictor(f, m, trained, f.seeds[0]) for m in (f.ours, *f.against)
-    }
-    for shape in (s for s in shapes if s.category in judged):
-      record = read_record(dataset, shape.row)
-      view = record.views[[shape.view]].astype(np.float32) / 255
-      yield Results(shape, record, {m: predict(view)[0] for m, predict in predictors.items()})
+def reconstruct(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> Iterator[Results]:
+  """Every method's result for each view; networks that are missing are trained first."""
+  dataset = open_dataset(plan.data)
+  for trained, judged in protocol.trained_for(plan, picks.categories_of(shown)):
+    predictors = {m: protocol.make_predictor(plan, m, trained, plan.seeds[0]) for m in methods}
+    for pick in (p for p in shown if p.model.category in judged):
+      record = read_record(dataset, pick.row)
+      view = record.views[[pick.view]].astype(np.float32) / 255
+      yield Results(pick, record, {m: predict(view)[0] for m, predict in predictors.items()})
 
 
-def _shape(dataset: Dataset, row: int, view: int) -> Shape:
-  model = dataset.manifest.models[row]
-  return Shape(row, view, model.id, model.category, float(dataset.manifest.azimuths[view]))
+def describe_networks(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> dict[str, Any]:
+  """The data set and the runs of the networks, as JSON values."""
+  found = pictures.find_runs(plan, shown, methods)
+  used = [run for own in found.values() for run in own.values()]
+  return {'data': plan.data, 'runs': runs.to_json(used)}

@@ -7,10 +7,13 @@ val, since losses differ in how sure they make a network. In brackets: the paper
 what is missing, reuses what is there; numbers go to WORKDIR/tables/iou.json.
 """
 
+from collections.abc import Sequence
+
 from absl import flags
 
 from cvn import environment, errors
 from experiments import protocol, tables
+from experiments.protocol import Plan
 from experiments.tables import AVERAGE, Row
 
 METRIC, FORM = 'iou', '.3f'
@@ -40,23 +43,29 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the table as the flags say."""
-  found = {}
-  for threshold in THRESHOLDS:
+  make_table(protocol.read_flags(f), f.methods)
+
+
+def make_table(plan: Plan, methods: Sequence[str]) -> None:
+  """Evaluates the methods for both thresholds, prints and writes.
+
+  Args:
+    plan: how.
+    methods: keys of `protocol.METHODS`.
+  """
+  table, used = {'metric': METRIC}, []
+  for threshold, title in THRESHOLDS.items():
+    results = {m: tables.evaluate(plan, m, threshold=threshold) for m in methods}
     rows = {
-      m: Row(
-        protocol.METHODS[m].title,
-        tables.collect(f, m, METRIC, threshold=threshold),
-        PUBLISHED.get(m, {}),
-      )
-      for m in f.methods
+      m: Row(protocol.METHODS[m].title, tables.select(r, METRIC), PUBLISHED.get(m, {}))
+      for m, r in results.items()
     }
-    trivial = tables.collect(f, f.methods[0], METRIC, who='baselines', threshold=threshold)
-    found[threshold] = rows | {'mean_shape': Row('Mean training shape', trivial, {})}
-  table = {'metric': METRIC}
-  for threshold, rows in found.items():
-    heading = f'Mean IoU, {THRESHOLDS[threshold]} (Adapted R2N2: always chosen on val)'
+    trivial = tables.select(results[methods[0]], METRIC, who='baselines')
+    rows['mean_shape'] = Row('Mean training shape', trivial, {})
+    heading = f'Mean IoU, {title} (Adapted R2N2: always chosen on val)'
     table[threshold] = tables.tell(heading, rows, 'msfcel', FORM)
-  tables.finish(f, 'iou', table)
+    used += [r for found in results.values() for r in found]
+  tables.finish(plan.workdir, 'iou', table, used)
 
 
 if __name__ == '__main__':

@@ -7,10 +7,13 @@ own. In brackets: the paper's number. Trains what is missing, reuses what is the
 WORKDIR/tables/psnr.json.
 """
 
+from collections.abc import Sequence
+
 from absl import flags
 
 from cvn import environment, errors
 from experiments import protocol, tables
+from experiments.protocol import Plan
 from experiments.scoring import METRICS
 from experiments.tables import AVERAGE, Row
 
@@ -64,21 +67,28 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Makes the tables as the flags say."""
+  make_tables(protocol.read_flags(f), f.methods)
+
+
+def make_tables(plan: Plan, methods: Sequence[str]) -> None:
+  """Evaluates the methods, prints and writes.
+
+  Args:
+    plan: how.
+    methods: keys of `protocol.METHODS`.
+  """
+  results = {m: tables.evaluate(plan, m) for m in methods}
   table = {}
-  for metric in PUBLISHED:
+  for metric, published in PUBLISHED.items():
     rows = {
-      m: Row(
-        protocol.METHODS[m].title,
-        tables.collect(f, m, metric),
-        PUBLISHED[metric].get(m, {}),
-      )
-      for m in f.methods
+      m: Row(protocol.METHODS[m].title, tables.select(r, metric), published.get(m, {}))
+      for m, r in results.items()
     }
     if OURS in rows:
-      trivial = tables.collect(f, OURS, metric, who='baselines')
+      trivial = tables.select(results[OURS], metric, who='baselines')
       rows['mean_color'] = Row('Mean training colour, same shapes', trivial, {})
     table[metric] = tables.tell(f'Mean surface {METRICS[metric]}, dB', rows, OURS, FORM)
-  tables.finish(f, 'psnr', table)
+  tables.finish(plan.workdir, 'psnr', table, [r for found in results.values() for r in found])
 
 
 if __name__ == '__main__':

@@ -7,14 +7,15 @@ means, as in the paper.
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from absl import flags
 
 from cvn.files import atomic_write
-from experiments import differences, protocol
+from experiments import differences, protocol, runs
+from experiments.protocol import Plan
+from experiments.stages import argv
 
 AVERAGE = 'avg.'
 
@@ -34,38 +35,65 @@ class Row(NamedTuple):
   published: Mapping[str, float]  # the paper's numbers, by category and `AVERAGE`
 
 
-def collect(
-  f: flags.FlagValues,
-  method: str,
-  metric: str,
-  *,
-  who: str = 'networks',
-  split: str = 'test',
-  threshold: str | None = None,
-) -> dict[str, Scores]:
-  """A method's numbers by category; trains and evaluates what is missing.
+class Comparison(NamedTuple):
+  """How much a method is above another, model by model."""
+
+  better: str  # their titles
+  other: str
+  difference: float  # the mean over models
+  error: float  # standard error over models; 0 for one model
+  models: int
+  median: float
+  above: float  # the share of models in which it is above
+  seeds: list[float]  # differences of averages by seed; empty for one seed
+
+
+class Result(NamedTuple):
+  """An evaluation of a method."""
+
+  categories: list[str]  # that its networks are evaluated on
+  report: dict[str, Any]  # of experiments.evaluate
+
+
+def evaluate(
+  plan: Plan, method: str, *, split: str = 'test', threshold: str | None = None
+) -> list[Result]:
+  """A method's evaluations, one for each of its networks and seeds; makes what is missing.
 
   Args:
-    f: the shared flags of experiments.protocol.
+    plan: how.
     method: a key of `protocol.METHODS`.
+    split: of the models.
+    threshold: 'paper' or 'val', instead of the plan's.
+  """
+  return [
+    Result(
+      judged,
+      protocol.evaluate(plan, method, trained_on, seed, split=split, threshold=threshold),
+    )
+    for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan))
+    for seed in plan.seeds
+  ]
+
+
+def select(results: Iterable[Result], metric: str, *, who: str = 'networks') -> dict[str, Scores]:
+  """A method's numbers by category.
+
+  Args:
+    results: of `evaluate`.
     metric: a key of `scoring.METRICS`.
     who: 'networks', or 'baselines' for the trivial ones beside the method.
-    split: of the models.
-    threshold: 'paper' or 'val', instead of what --threshold says.
   """
   found: dict[str, list[dict[str, float]]] = {}
-  wanted = protocol.categories(f)
-  for trained_on, judged in protocol.trained_for(f, wanted):
-    for seed in f.seeds:
-      report = protocol.evaluate(f, method, trained_on, seed, split=split, threshold=threshold)
-      for category in judged:
-        means = {
-          name: _mean(model[metric])
-          for name, model in report[who]['by_model'].items()
-          if model['category'] == category
-        }
-        if means:
-          found.setdefault(category, []).append(means)
+  for result in results:
+    for category in result.categories:
+      means = {
+        name: _mean(model[metric])
+        for name, model in result.report[who]['by_model'].items()
+        if model['category'] == category
+      }
+      if means:
+        found.setdefault(category, []).append(means)
   return {
     category: Scores(tuple(seeds[0]), np.array([[s[name] for name in seeds[0]] for s in seeds]))
     for category, seeds in found.items()
@@ -113,8 +141,8 @@ def to_markdown(rows: Sequence[Row], form: str) -> str:
   return '\n'.join(lines)
 
 
-def compare(better: Row, other: Row, form: str) -> str:
-  """A line on how much a method is better than another, model by model."""
+def compare(better: Row, other: Row) -> Comparison:
+  """How much a method is above another, model by model."""
   differences = np.concatenate(
     [
       _nanmean(better.scores[c].values, axis=0) - _nanmean(other.scores[c].values, axis=0)
@@ -122,13 +150,30 @@ def compare(better: Row, other: Row, form: str) -> str:
     ]
   )
   differences = differences[~np.isnan(differences)]
-  error = np.std(differences, ddof=1) / np.sqrt(len(differences)) if len(differences) > 1 else 0
+  count = len(differences)
+  error = np.std(differences, ddof=1) / np.sqrt(count) if count > 1 else 0
   by_seed = seed_means(better) - seed_means(other)
-  seeds = '' if len(by_seed) < 2 else f'; by seed {", ".join(f"{d:+{form}}" for d in by_seed)}'
+  return Comparison(
+    better.title,
+    other.title,
+    *(float(x) for x in (np.mean(differences), error)),
+    count,
+    *(float(x) for x in (np.median(differences), np.mean(differences > 0))),
+    by_seed.tolist() if len(by_seed) > 1 else [],
+  )
+
+
+def to_line(c: Comparison, form: str) -> str:
+  """A comparison for people.
+
+  Args:
+    c: the comparison.
+    form: of numbers, such as '.3f'.
+  """
+  seeds = f'; by seed {", ".join(f"{d:+{form}}" for d in c.seeds)}' if c.seeds else ''
   return (
-    f'{better.title} - {other.title}: {np.mean(differences):+{form}} ± {error:{form}} over'
-    f' {len(differences)} models, median {np.median(differences):+{form}}, above in'
-    f' {np.mean(differences > 0):.0%}{seeds}'
+    f'{c.better} - {c.other}: {c.difference:+{form}} ± {c.error:{form}} over {c.models} models,'
+    f' median {c.median:+{form}}, above in {c.above:.0%}{seeds}'
   )
 
 
@@ -142,22 +187,49 @@ def tell(heading: str, rows: Mapping[str, Row], ours: str, form: str) -> dict[st
     form: of numbers, such as '.3f'.
   """
   others = [name for name in rows if ours in rows and name != ours]
-  comparisons = [compare(rows[ours], rows[name], form) for name in others]
+  comparisons = [compare(rows[ours], rows[name]) for name in others]
   print(f'\n{heading}\n')
   print(to_markdown([*rows.values()], form))
-  print('\n' + '\n'.join(comparisons))
-  return {'rows': to_json([*rows.values()]), 'comparisons': comparisons}
+  print('\n' + '\n'.join(to_line(c, form) for c in comparisons))
+  return to_part([*rows.values()], comparisons)
 
 
-def finish(f: flags.FlagValues, name: str, table: Mapping[str, Any]) -> None:
-  """Writes WORKDIR/tables/NAME.json, and says how its numbers differ from the paper's."""
-  path = os.path.join(f.workdir, 'tables', f'{name}.json')
-  found = differences.find_differences(f)
+def finish(workdir: str, name: str, table: Mapping[str, Any], results: Iterable[Result]) -> None:
+  """Writes WORKDIR/tables/NAME.json, and says how its numbers differ from the paper's.
+
+  Args:
+    workdir: the folder.
+    name: of the table.
+    table: JSON values.
+    results: all evaluations that its numbers are from: what is told of the numbers is read there.
+  """
+  path = os.path.join(workdir, 'tables', f'{name}.json')
+  told = describe(results)
   with atomic_write(path) as temporary, open(temporary, 'w') as out:
-    own = {'methods': f.methods} if 'methods' in f else {}
-    told = {**describe(f), **own, 'differences': found, **table}
-    out.write(json.dumps(told, indent=1) + '\n')
-  print(f'\n{differences.to_text(found)}\n\n{path}')
+    out.write(json.dumps({'argv': argv(), **told, **table}, indent=1) + '\n')
+  print(f'\n{differences.to_text(told["differences"])}\n\n{path}')
+
+
+def describe(results: Iterable[Result]) -> dict[str, Any]:
+  """The data set, the runs of all networks, and how they differ from the paper's; JSON values."""
+  reports = [r.report for r in results]
+  used = [run for report in reports for run in runs.of_report(report)]
+  tested = {
+    f'{report["data"]} {name}': model
+    for report in reports
+    if report['split'] == 'test'
+    for name, model in report['networks']['by_model'].items()
+  }
+  return {
+    'data': next(iter(report['data'] for report in reports)),
+    'runs': runs.to_json(used),
+    'differences': differences.find_differences(used, tested),
+  }
+
+
+def to_part(rows: Sequence[Row], comparisons: Sequence[Comparison]) -> dict[str, Any]:
+  """A table as JSON values."""
+  return {'rows': to_json(rows), 'comparisons': [c._asdict() for c in comparisons]}
 
 
 def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -184,15 +256,6 @@ def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
     }
     for row in rows
   ]
-
-
-def describe(f: flags.FlagValues) -> dict[str, Any]:
-  """What a reader must know of the numbers."""
-  names = ('data', 'models', 'epochs', 'batch_size', 'learning_rate', 'dtype', 'seeds')
-  return {
-    n: f[n].value
-    for n in (*names, 'fresh_statistics', 'train_source', 'source', 'threshold', 'quick')
-  }
 
 
 def _cell(mean, error, published, form):

@@ -16,6 +16,9 @@ import math
 import signal
 import sys
 import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -36,7 +39,7 @@ from cvn import (
   train,
 )
 from cvn import recipe as recipes
-from cvn.dataset import Dataset, open_dataset
+from cvn.dataset import Dataset, digest, open_dataset
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
 from cvn.recipe import RECIPES, Recipe
@@ -54,6 +57,12 @@ SAMPLERS = {
   'bilinear': sampler.bilinear,
   'nearest': sampler.nearest,
   'foreground': sampler.bilinear_foreground,
+}
+PARTS = {  # of a recipe, by the names that flags and configurations have for them
+  'shape_loss': SHAPE_LOSSES,
+  'surface_distance': SURFACE_DISTANCES,
+  'sample': SAMPLERS,
+  'schedule': recipes.SCHEDULES,
 }
 
 
@@ -165,7 +174,7 @@ def run(f: flags.FlagValues) -> int:
   )
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
-  checkpoint.start(f.workdir, make_config(f, recipe, dataset, len(rows)))
+  checkpoint.start(f.workdir, make_config(f, recipe, dataset, rows))
 
   put_batch, put_state = make_placement(f.batch_size)
   state = put_state(train.create_state(jax.random.key(f.seed), f.network))
@@ -181,8 +190,8 @@ def run(f: flags.FlagValues) -> int:
     window = progress['window']
   step = first = int(state.step)
   total = f.epochs * len(batches)
-  if step >= total:
-    print(f'{f.workdir} is trained for {step // len(batches)} epochs: raise --epochs to go on')
+  if is_finished(f.workdir, step, len(batches), f.epochs):
+    print(f'{f.workdir} is trained for {f.epochs} epochs: raise --epochs to go on')
     return 0
   if len(validation) == 0:
     print('no finished model in the split val: training without validation', file=sys.stderr)
@@ -245,15 +254,9 @@ def run(f: flags.FlagValues) -> int:
 
 def make_recipe(f: flags.FlagValues) -> Recipe:
   """The recipe that the flags name, with what they change in it."""
-  choices = {
-    'shape_loss': SHAPE_LOSSES,
-    'surface_distance': SURFACE_DISTANCES,
-    'sample': SAMPLERS,
-    'schedule': recipes.SCHEDULES,
-  }
-  names = (*choices, 'learning_rate', 'mirror', 'recolor')
+  names = (*PARTS, 'learning_rate', 'mirror', 'recolor')
   asked = {name: f[name].value for name in names if f[name].value is not None}
-  chosen = {name: choices[name][x] if name in choices else x for name, x in asked.items()}
+  chosen = {name: PARTS[name][x] if name in PARTS else x for name, x in asked.items()}
   return RECIPES[f.recipe]._replace(**chosen)
 
 
@@ -295,17 +298,60 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   return data.evaluation_pairs(rows, views, count)
 
 
-def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: int) -> dict:
-  """All that a resumed run must share with the one it continues."""
-  names = (
-    *('network', 'recipe', 'shape_loss', 'surface_distance', 'sample', 'dtype', 'heads'),
-    *('category', 'source'),
-    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'recolor'),
-    *('fresh_statistics', 'seed'),
-  )
-  config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
+def configuration(**named: Any) -> dict[str, Any]:
+  """What the program stores as the configuration of a run when it is started with some flags."""
+  f = flags.FlagValues()
+  define_flags(f)
+  f(['train', *(f'--{k}={v}' for k, v in named.items())])
+  dataset = open_dataset(f.data)
+  rows = data.select_rows(dataset, 'train', f.category, f.source)
+  return make_config(f, make_recipe(f), dataset, rows)
+
+
+def make_config(
+  f: flags.FlagValues, recipe: Recipe, dataset: Dataset, rows: Sequence[int]
+) -> dict[str, Any]:
+  """All that a resumed run must share with the one it continues, and that a reused one must have.
+
+  The recipe's parts are told one by one, so that a recipe of the same name that has changed since
+  is another one. `counts` is how many models of each category and source there are.
+  """
+  models = [dataset.manifest.models[row] for row in rows]
+  counts = Counter(f'{m.category} ({m.source})' for m in models)
+  names = ('network', 'dtype', 'heads', 'category', 'source')
+  names += ('batch_size', 'fresh_statistics', 'seed')
+  config = {
+    'data': dataset.root,
+    'data_digest': digest(dataset, rows),
+    'models': len(models),
+    'counts': dict(counts),
+    **{n: f[n].value for n in names},
+    **describe_recipe(recipe),
+  }
   # A schedule that ends with the training is another one where that is longer.
   return config | ({'epochs': f.epochs} if recipe.schedule is recipes.cosine else {})
+
+
+def describe_recipe(recipe: Recipe) -> dict[str, Any]:
+  """The recipe as JSON values: its parts by their names."""
+  names = {part: name for parts in PARTS.values() for name, part in parts.items()}
+  told = {k: names[v] if k in PARTS else v for k, v in recipe._asdict().items()}
+  return {'recipe': told.pop('name'), **told}
+
+
+def is_finished(workdir: str, step: int, steps_per_epoch: int, epochs: int) -> bool:
+  """Whether a run has come to the end of its epochs.
+
+  Raises:
+    UserError: it has gone further.
+  """
+  if step > epochs * steps_per_epoch:
+    done = f'{step / steps_per_epoch:.4g}' if steps_per_epoch else 'more'
+    raise UserError(
+      f'{workdir} was trained for epochs={done}, not {epochs}: ask for more --epochs, name another'
+      f' --workdir, or delete {workdir}'
+    )
+  return step == epochs * steps_per_epoch
 
 
 def make_placement(batch_size: int):

@@ -18,6 +18,7 @@ import io
 import json
 import math
 import os
+from collections.abc import Sequence
 
 import numpy as np
 from absl import flags
@@ -27,8 +28,11 @@ from tqdm import tqdm
 from cvn import environment, errors, figures
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
-from experiments import protocol, study_shapes, user_study_page
+from experiments import picks, protocol, study_shapes, user_study_page
 from experiments.demo_page import to_png
+from experiments.picks import Pick
+from experiments.protocol import Plan
+from experiments.stages import argv
 from experiments.user_study_page import Pair, Sheet, Study
 
 FRAMES = 32  # pictures of a turn; a multiple of 4, for the four sides
@@ -59,39 +63,67 @@ def main(_) -> int:
 
 
 def run(f: flags.FlagValues) -> int:
-  """Makes the page; returns the exit status."""
-  shapes = study_shapes.choose(f)
-  count = study_shapes.describe(shapes)
-  print(f'{count}; seed {f.study_seed}')
-  methods = [f.ours, *f.against]
-  rng = np.random.default_rng(f.study_seed)
-  names = [f'r{n:03d}' for n in rng.permutation(len(shapes) * len(methods))]
-  pictures, sheets, key = [], {}, {}
-  progress = tqdm(shapes, desc='draw', unit='shape', disable=None)
-  for n, results in enumerate(study_shapes.reconstruct(f, shapes)):
-    pictures.append(to_png(crop_to_object(results.record.views[results.shape.view])))
-    made = draw_turntables(list(results.voxels.values()), results.shape.azimuth, f.size)
+  """Makes the page as the flags say; returns the exit status."""
+  plan = protocol.read_flags(f)
+  shown = study_shapes.choose(plan, shapes=f.shapes, seed=f.study_seed)
+  output = f.output or os.path.join(plan.workdir, 'user_study')
+  make_study(plan, shown, f.ours, f.against, seed=f.study_seed, size=f.size, output=output)
+  return 0
+
+
+def make_study(
+  plan: Plan,
+  shown: Sequence[Pick],
+  ours: str,
+  against: Sequence[str],
+  *,
+  seed: int,
+  size: int,
+  output: str,
+) -> None:
+  """Reconstructs, draws and writes the page and its key.
+
+  Args:
+    plan: how networks are trained.
+    shown: the test models and their views.
+    ours: the method that is in every pair.
+    against: the methods it is compared with.
+    seed: of names and of the order of pairs.
+    size: pixels of pictures before the cut.
+    output: the folder.
+  """
+  count = study_shapes.describe(shown)
+  print(f'{count}; seed {seed}')
+  methods = [ours, *against]
+  rng = np.random.default_rng(seed)
+  names = [f'r{n:03d}' for n in rng.permutation(len(shown) * len(methods))]
+  views, sheets, key, order = [], {}, {}, []
+  progress = tqdm(shown, desc='draw', unit='shape', disable=None)
+  for n, results in enumerate(study_shapes.reconstruct(plan, shown, methods)):
+    order.append(results.pick)
+    views.append(to_png(crop_to_object(results.record.views[results.pick.view])))
+    made = draw_turntables(list(results.voxels.values()), results.pick.azimuth, size)
     for method, sheet in zip(methods, made, strict=True):
       name = names[len(sheets)]
       sheets[name] = sheet
       key[name] = {'shape': n, 'method': method}
     progress.update()
   progress.close()
-  about = f'{count}, chosen with seed {f.study_seed}.'
-  pairs = make_pairs(key, f.ours, rng)
+  about = f'{count}, chosen with seed {seed}.'
+  pairs = make_pairs(key, ours, rng)
   sheets = dict(sorted(sheets.items()))
-  study = Study(about, tuple(pictures), sheets, FRAMES, COLUMNS, pairs)
-  output = f.output or os.path.join(f.workdir, 'user_study')
+  study = Study(about, tuple(views), sheets, FRAMES, COLUMNS, pairs)
   report = {
+    'argv': argv(),
     'page': user_study_page.identify(study),
-    'data': f.data,
-    'study_seed': f.study_seed,
-    'ours': f.ours,
+    'study_seed': seed,
+    'ours': ours,
     'titles': {m: protocol.METHODS[m].title for m in methods},
-    'shapes': [s._asdict() for s in shapes],
+    'shapes': [picks.to_json(p) for p in order],
     'results': dict(sorted(key.items())),
     'pairs': {name: pair.sheets for name, pair in pairs.items()},
   }
+  report |= study_shapes.describe_networks(plan, shown, methods)
   page = os.path.join(output, 'study.html')
   with atomic_write(page) as temporary, open(temporary, 'w', encoding='utf-8') as out:
     out.write(user_study_page.render(study))
@@ -99,7 +131,6 @@ def run(f: flags.FlagValues) -> int:
     json.dump(report, out, indent=1)
   print(f'{len(pairs)} pairs, {os.path.getsize(page) / 1e6:.1f} MB: {page}')
   print(f"which is whose, not for the subjects' eyes: {os.path.join(output, 'key.json')}")
-  return 0
 
 
 def make_pairs(key: dict[str, dict], ours: str, rng: np.random.Generator) -> dict[str, Pair]:

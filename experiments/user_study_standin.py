@@ -23,7 +23,9 @@ from tqdm import tqdm
 from cvn import environment, errors, figures
 from cvn.dataset import open_dataset
 from cvn.grid import ColoredVoxels
-from experiments import preferences, protocol, study_shapes
+from experiments import picks, preferences, protocol, study_shapes
+from experiments.picks import Pick
+from experiments.protocol import Plan
 from experiments.scoring import PSNR_CEILING, to_voxels
 
 LABEL = 'automatic stand-in, no person was asked'
@@ -45,61 +47,76 @@ def main(_) -> int:
 
 
 def run(f: flags.FlagValues) -> int:
-  """Compares and draws; returns the exit status."""
-  manifest = open_dataset(f.data).manifest
-  shapes = study_shapes.choose(f)
-  count = study_shapes.describe(shapes)
-  print(f'{count}; seed {f.study_seed}')
-  scores = []
-  progress = tqdm(shapes, desc='compare', unit='shape', disable=None)
-  for results in study_shapes.reconstruct(f, shapes):
+  """Compares and draws as the flags say; returns the exit status."""
+  plan = protocol.read_flags(f)
+  shown = study_shapes.choose(plan, shapes=f.shapes, seed=f.study_seed)
+  output = f.output or os.path.join(plan.workdir, 'user_study')
+  make_report(plan, shown, f.ours, f.against, seed=f.study_seed, output=output)
+  return 0
+
+
+def make_report(
+  plan: Plan, shown: Sequence[Pick], ours: str, against: Sequence[str], *, seed: int, output: str
+) -> None:
+  """Reconstructs, compares, prints and writes.
+
+  Args:
+    plan: how networks are trained.
+    shown: the test models and their views.
+    ours: the method that is compared.
+    against: the methods it is compared with.
+    seed: with which the models were chosen.
+    output: the folder.
+  """
+  manifest = open_dataset(plan.data).manifest
+  print(f'{study_shapes.describe(shown)}; seed {seed}')
+  options = {'azimuths': manifest.azimuths, 'size': manifest.image_size}
+  compared: list[tuple[Pick, dict[str, dict[str, float]]]] = []
+  progress = tqdm(shown, desc='compare', unit='shape', disable=None)
+  for results in study_shapes.reconstruct(plan, shown, [ours, *against]):
     truth = to_voxels(results.record, manifest.grid_size)
-    options = {'azimuths': manifest.azimuths, 'size': manifest.image_size}
-    scores.append(compare(results.voxels, truth, **options))
+    compared.append((results.pick, compare(results.voxels, truth, **options)))
     progress.update()
   progress.close()
-  titles = {m: protocol.METHODS[m].title for m in (f.ours, *f.against)}
-  names = list(dict.fromkeys(s.category for s in shapes))
+  titles = {m: protocol.METHODS[m].title for m in (ours, *against)}
   tables = {
     measure: preferences.tabulate(
       [
-        preferences.Choice(shape.category, other, s[f.ours][measure] > s[other][measure])
-        for shape, s in zip(shapes, scores, strict=True)
-        for other in f.against
-        if s[f.ours][measure] != s[other][measure]  # of two alike none is closer
+        preferences.Choice(pick.model.category, other, s[ours][measure] > s[other][measure])
+        for pick, s in compared
+        for other in against
+        if s[ours][measure] != s[other][measure]  # of two alike none is closer
       ],
-      f.against,
-      names,
+      against,
+      picks.categories_of(shown),
     )
     for measure in MEASURES
   }
   print(f'{LABEL}: closer to the truth, in drawings from {len(manifest.azimuths)} azimuths')
   for measure, title in MEASURES.items():
-    heading = f'\n{titles[f.ours]} closer by {title}'
+    heading = f'\n{titles[ours]} closer by {title}'
     print(preferences.format_table(tables[measure], titles, heading))
-  means = {m: {k: float(np.mean([s[m][k] for s in scores])) for k in MEASURES} for m in titles}
+  means = {m: {k: float(np.mean([s[m][k] for _, s in compared])) for k in MEASURES} for m in titles}
   print()
   for method, mean in means.items():
     print(f'{titles[method]:<28}mean SSIM {mean["ssim"]:.4f}  mean PSNR {mean["psnr"]:.2f} dB')
   report = {
     'what': LABEL,
-    'data': f.data,
-    'study_seed': f.study_seed,
-    'ours': f.ours,
+    'study_seed': seed,
+    'ours': ours,
     'titles': titles,
     'closer': {k: preferences.to_json(t) for k, t in tables.items()},
     'means': means,
-    'shapes': [{**shape._asdict(), 'scores': s} for shape, s in zip(shapes, scores, strict=True)],
+    'shapes': [{**picks.to_json(p), 'scores': s} for p, s in compared],
   }
+  report |= study_shapes.describe_networks(plan, shown, [ours, *against])
   panels = {
     f'Automatic stand-in: closer to the truth by {title}': tables[k]
     for k, title in MEASURES.items()
   }
-  note = f'{LABEL.capitalize()}. {len(shapes)} shapes; whiskers: 95 % (Wilson)'
-  chart = preferences.draw(panels, titles, f.ours, note=note, axis='closer, % of shapes')
-  output = f.output or os.path.join(f.workdir, 'user_study')
+  note = f'{LABEL.capitalize()}. {len(shown)} shapes; whiskers: 95 % (Wilson)'
+  chart = preferences.draw(panels, titles, ours, note=note, axis='closer, % of shapes')
   preferences.write(output, 'standin', report, chart)
-  return 0
 
 
 def compare(

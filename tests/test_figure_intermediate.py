@@ -13,7 +13,7 @@ def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
   drawn = []
   draw_row = figure_intermediate.draw_row
   monkeypatch.setattr(
-    figure_intermediate, 'draw_row', lambda *a: drawn.append(draw_row(*a)) or drawn[-1]
+    figure_intermediate, 'draw_row', lambda *a, **k: drawn.append(draw_row(*a, **k)) or drawn[-1]
   )
   figure_intermediate.run(parse(figure_intermediate, '--category=car', tile=48, **given))
   (row,) = drawn

@@ -16,19 +16,25 @@ def given(tmp_path, monkeypatch):
   """Evaluations in which separate networks are better by 0.25 in IoU and worse by 1 dB."""
   made = make_workdir(tmp_path, monkeypatch)
 
-  def evaluate(f, method, category, seed, **_):
-    del f, seed
+  def evaluate(plan, method, category, seed, **_):
     unified = method == structure.UNIFIED
+    training = 'unified' if unified else 'msfcel'
+    run = protocol.train(plan, training, category, seed)
     models = {
       name: {
         'category': c,
+        'source': 'synthetic',
         'iou': [0.25 if unified else 0.5] * 3,
         'psnr_rgb': [11.0 if unified else 10.0, None, None],
       }
       for name, c in MODELS.items()
       if category in (protocol.ALL, c)
     }
-    return {'threshold': 0.5, 'alpha': 0.2, 'networks': {'by_model': models}}
+    return {
+      **{'data': plan.data, 'split': 'test', 'threshold': 0.5, 'alpha': 0.2},
+      **{'networks': {'by_model': models}, 'shape': run.workdir},
+      'options': {'runs': {'shape': {'step': run.step, 'config': run.config}}},
+    }
 
   monkeypatch.setattr(protocol, 'evaluate', evaluate)
   return made
@@ -46,6 +52,8 @@ def test_numbers_stand_beside_the_papers(given, capsys, models):
   with open(os.path.join(given['workdir'], 'tables', 'structure.json')) as f:
     table = json.load(f)
   separate, unified = table['iou']['rows']
+  (comparison,) = table['psnr_rgb']['comparisons']
+  assert (comparison['difference'], comparison['models'], comparison['above']) == (-1, 3, 0)
   assert separate['categories']['car'] == {
     'mean': 0.5,
     'error': 0,
