@@ -27,7 +27,7 @@ from absl import flags
 from cvn import environment, errors
 from cvn.files import atomic_write
 from experiments import layer_table, measuring, peer
-from experiments.train import DTYPES
+from experiments.lib.training import DTYPES
 
 KINDS = ('shape', 'color')
 INFERENCES = 20

@@ -25,7 +25,7 @@ from cvn.files import atomic_write
 from datagen.plan import list_models
 from datagen.sources import sweethome3d
 from datagen.splits import ranked_splits, write_splits
-from experiments.stages import argv, run_program
+from experiments.lib.stages import argv, run_program
 
 CATEGORIES = ('car', 'chair', 'guitar', 'human', 'table')
 VALIDATION_SEED = 1  # of the people that are for validation

@@ -19,9 +19,9 @@ from absl import flags
 
 from cvn import errors
 from cvn.files import atomic_write
-from experiments import differences, pictures, runs
-from experiments.runs import Run
-from experiments.stages import read_bytes
+from experiments.lib import differences, markdown, pictures, runs
+from experiments.lib.runs import Run
+from experiments.lib.stages import read_bytes
 
 VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
 SHAPE_VARIANTS = ('float32', 'mixed')
@@ -142,20 +142,16 @@ def train(
 
 def to_table(trainings: list[Training]) -> str:
   """A Markdown table: a row a training, the measures on held-out models."""
-  lines = [
-    '| network | variant | seed | loss, last epoch | on val | on test |',
-    '| --- | --- | --- | --- | --- | --- |',
-  ]
+  head = ('network', 'variant', 'seed', 'loss, last epoch', 'on val', 'on test')
+  lines = []
   for t in trainings:
     measured = ', '.join(
       f'{title} {"none" if t.measured[key] is None else format(t.measured[key], form)}'
       for key, title, form in MEASURES[t.network]
     )
     validated = f'{t.validated[-1][1]:.4f}' if t.validated else 'none'
-    lines.append(
-      f'| {t.network} | {t.variant} | {t.seed} | {t.curve[-1][1]:.4f} | {validated} | {measured} |'
-    )
-  return '\n'.join(lines)
+    lines.append((t.network, t.variant, t.seed, f'{t.curve[-1][1]:.4f}', validated, measured))
+  return markdown.table(head, lines)
 
 
 def draw(trainings: list[Training], path: str) -> None:

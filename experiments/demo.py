@@ -19,11 +19,12 @@ from cvn import data, errors, figures
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from experiments import demo_page, picks, runs
-from experiments.picks import Pick
-from experiments.runs import Run
-from experiments.scoring import to_voxels
-from experiments.stages import read_bytes, read_json, run_program, seconds_of
+from experiments import demo_page
+from experiments.lib import assets, picks, runs
+from experiments.lib.picks import Pick
+from experiments.lib.runs import Run
+from experiments.lib.scoring import to_voxels
+from experiments.lib.stages import read_bytes, read_json, run_program, seconds_of
 
 # Pictures show the object's front at different angles: these views of the data set, in turn.
 PICTURE_VIEWS = (1, 11, 2, 10)
@@ -172,7 +173,7 @@ def make_example(dataset: Dataset, pick: Pick, models: str, output: str):
   return demo_page.Example(
     f'{pick.model.id}, seen from {pick.azimuth:g}°',
     read_bytes(f'{stem}.png'),
-    demo_page.to_png(drawn),
+    assets.to_png(drawn),
     read_bytes(f'{stem}.glb'),
     [os.path.relpath(f'{stem}.{suffix}', output) for suffix in ('glb', 'ply', 'png')],
   )

@@ -7,7 +7,7 @@ import shutil
 import synthetic
 
 from cvn import data, dataset
-from experiments import evaluate, runs, train
+from experiments.lib import evaluation, runs, training
 
 
 def make_data(path, *, split='train'):
@@ -25,7 +25,7 @@ def make_data(path, *, split='train'):
 
 def leave_run(**named):
   """Leaves what experiments.train leaves: configuration, and checkpoint of the last epoch."""
-  config = {'format': 1, **train.configuration(**named)}
+  config = {'format': 1, **training.configuration(**named)}
   step = runs.steps_per_epoch(config) * named['epochs']
   checkpoints = os.path.join(named['workdir'], 'checkpoints')
   shutil.rmtree(checkpoints, ignore_errors=True)  # of fewer epochs
@@ -36,7 +36,7 @@ def leave_run(**named):
 
 def leave_scores(number=0.5, **named):
   """Leaves what experiments.evaluate leaves: its options, and the same number for all views."""
-  options = evaluate.options(**named)
+  options = evaluation.options(**named)
   opened = dataset.open_dataset(named['data'])
   where = options['split'], options['category'], options['source']
   rows = data.select_rows(opened, *where)

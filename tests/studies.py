@@ -6,8 +6,9 @@ import workdirs
 from absl import flags
 
 from cvn.grid import ColoredVoxels
-from experiments import study_shapes, user_study
-from experiments.runs import Run
+from experiments.lib.runs import Run
+from experiments.study import __main__ as user_study
+from experiments.study import shapes as study_shapes
 
 COLORS = {'blended_0.2': (0.9, 0.2, 0.2), 'regression': (0.2, 0.9, 0.2), 'flow': (0.2, 0.2, 0.9)}
 SIZE = 48  # pixels of drawings
@@ -61,7 +62,7 @@ def without_networks(monkeypatch) -> list:
 
 
 def make_study(tmp_path, monkeypatch, *more: str) -> str:
-  """Runs experiments.user_study; returns its folder."""
+  """Runs experiments.study; returns its folder."""
   without_networks(monkeypatch)
   monkeypatch.setattr(user_study, 'FRAMES', FRAMES)  # fewer, to be quick
   make_data(tmp_path)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from cvn.errors import UserError
 from experiments import compare_training as program
-from experiments import evaluate
+from experiments.lib import evaluation
 
 
 def parse(*arguments):
@@ -40,7 +40,7 @@ def commands(monkeypatch):
     else:
       total = {'iou': 0.125, 'psnr_rgb': 20.0, 'psnr_ycbcr': None}
       with open(named['json'], 'w') as f:
-        json.dump({'networks': {'total': total}, 'options': evaluate.options(**named)}, f)
+        json.dump({'networks': {'total': total}, 'options': evaluation.options(**named)}, f)
 
   monkeypatch.setattr(program.runs, 'run_program', run_program)
   return ran

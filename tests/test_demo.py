@@ -12,10 +12,11 @@ import synthetic
 from cvn import dataset, export, grid, photo
 from cvn.errors import UserError
 from experiments import demo, demo_page
+from experiments.lib import assets
 
 
 def _page(**changes):
-  png = demo_page.to_png(np.full((3, 5, 3), 100, np.uint8))
+  png = assets.to_png(np.full((3, 5, 3), 100, np.uint8))
   page = demo_page.Page(
     about='made of <b>&',
     verdict='Better.',

@@ -2,8 +2,8 @@
 
 import workdirs
 
-from experiments import differences
-from experiments.runs import Run
+from experiments.lib import differences
+from experiments.lib.runs import Run
 
 MODELS = {'a': {'category': 'car', 'source': 'mine'}, 'b': {'category': 'car', 'source': 'mine'}}
 

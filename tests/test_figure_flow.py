@@ -5,7 +5,8 @@ import pytest
 from test_figure_random import GRID, make_workdir, parse, read_figure, save_networks
 
 from cvn import dataset
-from experiments import figure_flow, picks
+from experiments.lib import picks
+from experiments.paper.figures import flow as figure_flow
 
 
 def make_record(index, visible, flow=(0.5, 0.5), size=32):

@@ -4,7 +4,8 @@ import numpy as np
 from test_figure_random import make_workdir, parse, read_figure, save_networks
 
 from cvn import figures
-from experiments import figure_intermediate, pictures
+from experiments.lib import pictures
+from experiments.paper.figures import intermediate as figure_intermediate
 
 
 def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):

@@ -5,9 +5,10 @@ import pytest
 from test_figure_random import AZIMUTHS, GRID, IMAGE, make_workdir, parse, read_figure
 
 from cvn import data, dataset, metrics, reconstruct
-from experiments import figure_nearest, protocol, scoring
-from experiments.protocol import Networks
-from experiments.scoring import Network
+from experiments.lib import protocol, scoring
+from experiments.lib.protocol import Networks
+from experiments.lib.scoring import Network
+from experiments.paper.figures import nearest as figure_nearest
 
 
 @pytest.fixture

@@ -15,8 +15,9 @@ from cvn import dataset, figures
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import NETWORKS
-from experiments import figure_random, pictures, protocol, scoring
-from experiments.runs import Run
+from experiments.lib import pictures, protocol, scoring
+from experiments.lib.runs import Run
+from experiments.paper.figures import random as figure_random
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 

@@ -10,8 +10,8 @@ from absl import flags
 from PIL import Image
 
 from cvn.errors import UserError
-from experiments import figure_threshold as program
-from experiments.runs import Run
+from experiments.lib.runs import Run
+from experiments.paper.figures import threshold as program
 
 
 def run(*arguments):

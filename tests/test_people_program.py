@@ -12,8 +12,9 @@ from test_evaluate import save_network
 
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
-from experiments import evaluate, protocol, runs, train
-from experiments import people as program
+from experiments import evaluate
+from experiments.lib import protocol, runs, training
+from experiments.paper.people import __main__ as program
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 180, 270)
 
@@ -31,14 +32,14 @@ def given(tmp_path_factory):
     image_size=IMAGE,
     grid_size=GRID,
   )
-  for training, kind, network in (
+  for name, kind, network in (
     ('msfcel', 'shape', ShapeNetwork),
     ('blended', 'color', ColorNetwork),
   ):
-    folder = root / 'work' / 'runs' / f'{training}_human_0'
+    folder = root / 'work' / 'runs' / f'{name}_human_0'
     save_network(str(folder), kind, network(IMAGE, GRID))
     os.rename(folder / 'checkpoints' / '0', folder / 'checkpoints' / '2')
-    config = train.configuration(
+    config = training.configuration(
       network=kind, data=root / 'data', workdir=folder, category='human', batch_size=1
     )
     (folder / 'config.json').write_text(json.dumps({'format': 1, **config}))

@@ -8,8 +8,8 @@ from absl import flags
 
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
-from experiments import protocol
-from experiments.runs import Run
+from experiments.lib import protocol
+from experiments.lib.runs import Run
 
 
 def parse(*arguments):

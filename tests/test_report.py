@@ -9,8 +9,8 @@ import workdirs
 from absl import flags
 
 from cvn.errors import UserError
-from experiments import report as program
-from experiments import report_facts
+from experiments.report import __main__ as program
+from experiments.report import facts as report_facts
 
 
 def run(output, *folders, **named):
@@ -62,12 +62,12 @@ def test_commands_stand_in_their_order_with_their_times(made):
   _, _, text = made
   listed = re.findall(r'^python -m (\S+)', text, re.MULTILINE)
   assert listed == [
-    *('experiments.collection', 'experiments.table_iou', 'experiments.table_psnr'),
-    *('experiments.ablation', 'experiments.structure', 'experiments.people'),
-    *('experiments.figure_random', 'experiments.user_study_standin', 'pytest'),
+    *('experiments.collection', 'experiments.paper.iou', 'experiments.paper.psnr'),
+    *('experiments.paper.ablation', 'experiments.paper.structure', 'experiments.paper.people'),
+    *('experiments.paper.figures.random', 'experiments.study.standin', 'pytest'),
     *('datagen.generate', 'experiments.train'),
   ]
-  assert 'python -m experiments.table_iou --data=data/objects --workdir=work\n' in text
+  assert 'python -m experiments.paper.iou --data=data/objects --workdir=work\n' in text
   assert 'datagen.generate --limit=6  # 30 s' in text
   assert 'What they ran: 2 commands, 0.0 hours in all' in text
 
@@ -83,8 +83,8 @@ def test_what_is_missing_is_left_out_with_its_command(tmp_path):
   workdirs.write_training(tmp_path / 'work')
   page, text = run(tmp_path / 'out', tmp_path / 'work', per_category=1)
   for command in (
-    *('table_iou', 'table_psnr', 'ablation', 'structure', 'people', 'figure_random'),
-    *('user_study', 'user_study_standin', 'collection'),
+    *(f'paper.{x}' for x in ('iou', 'psnr', 'ablation', 'structure', 'people', 'figures.random')),
+    *('study', 'study.standin', 'collection'),
   ):
     assert f'python -m experiments.{command} ' in text
     assert f'python -m experiments.{command} ' in re.sub('</?span>', '', page)

@@ -8,8 +8,8 @@ import pytest
 import workdirs
 
 from cvn.errors import UserError
-from experiments import report_gather
-from experiments.report_gather import read_workdir, read_workdirs
+from experiments.report import read as report_gather
+from experiments.report.read import read_workdir, read_workdirs
 
 
 @pytest.fixture(scope='module')

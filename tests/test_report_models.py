@@ -14,7 +14,10 @@ from test_evaluate import save_network
 from cvn import data, reconstruct
 from cvn.dataset import read_record
 from cvn.networks import ColorNetwork, ShapeNetwork
-from experiments import evaluate, report_facts, report_gather, report_models, scoring
+from experiments.lib import evaluation, scoring
+from experiments.report import facts as report_facts
+from experiments.report import models as report_models
+from experiments.report import read as report_gather
 
 IMAGE, GRID = 32, 16
 
@@ -54,7 +57,7 @@ def _report(root, models):
     'networks': {'by_model': {m: {'category': c} for m, c in models.items()}},
     'options': {
       'runs': {
-        kind: evaluate.describe_run(str(root / f'work/runs/{name}_all_0'))
+        kind: evaluation.describe_run(str(root / f'work/runs/{name}_all_0'))
         for kind, name in (('shape', 'msfcel'), ('color', 'blended'))
       }
     },

@@ -5,10 +5,10 @@ import math
 import pytest
 
 from cvn.intervals import Estimate
-from experiments import report_tables
-from experiments.report_blocks import Cell, Items, Table
-from experiments.report_results import Line, Lines, Number
-from experiments.tables import Comparison
+from experiments.lib.tables import Comparison
+from experiments.report import tables as report_tables
+from experiments.report.blocks import Cell, Items, Table
+from experiments.report.results import Line, Lines, Number
 
 NAN = math.nan
 

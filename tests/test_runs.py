@@ -11,8 +11,8 @@ from absl import flags
 
 from cvn import dataset
 from cvn.errors import UserError
-from experiments import protocol, table_iou, tables
-from experiments import train as training
+from experiments.lib import protocol, tables, training
+from experiments.paper import iou as table_iou
 
 COMMON = ('--models=all', '--epochs=16', '--batch_size=2', '--learning_rate=1e-3', '--dtype=mixed')
 

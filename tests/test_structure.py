@@ -6,7 +6,8 @@ import os
 import pytest
 from test_figure_random import make_workdir, parse, read_figure
 
-from experiments import protocol, structure
+from experiments.lib import protocol
+from experiments.paper import structure
 
 MODELS = {'m2': 'car', 'm6': 'car', 'm3': 'zebra'}
 
@@ -44,7 +45,7 @@ def given(tmp_path, monkeypatch):
 def test_numbers_stand_beside_the_papers(given, capsys, models):
   structure.run(parse(structure, tile=48, per_category=1, models=models, **given))
   text = capsys.readouterr().out
-  assert '| | car | zebra | avg. |' in text
+  assert '|  | car | zebra | avg. |' in text
   assert '| Separate networks (proposed) | 0.500 ± 0.000 [0.395] | 0.500 | 0.500 |' in text
   assert '| Unified network | 0.250 ± 0.000 [0.386] | 0.250 | 0.250 |' in text
   assert 'Unified network: +0.250 ± 0.000 over 3 models, median +0.250, above in 100%' in text

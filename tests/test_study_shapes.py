@@ -7,7 +7,8 @@ import synthetic
 from absl import flags
 
 from cvn.errors import UserError
-from experiments import protocol, study_shapes
+from experiments.lib import protocol
+from experiments.study import shapes as study_shapes
 
 
 def _define(f):

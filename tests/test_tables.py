@@ -8,8 +8,11 @@ import synthetic
 import workdirs
 from absl import flags
 
-from experiments import ablation, protocol, table_iou, table_psnr, tables
-from experiments.tables import AVERAGE, Row, Scores
+from experiments.lib import protocol, tables
+from experiments.lib.tables import AVERAGE, Row, Scores
+from experiments.paper import ablation
+from experiments.paper import iou as table_iou
+from experiments.paper import psnr as table_psnr
 
 CAR = Scores(('a', 'b', 'c'), np.array([[0.1, 0.2, 0.3], [0.3, 0.4, 0.5]]))
 CHAIR = Scores(('d',), np.array([[0.6], [0.8]]))

@@ -20,6 +20,7 @@ from cvn import checkpoint, data, grid, losses
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
+from experiments.lib import training
 
 
 class TrainState(NamedTuple):
@@ -295,7 +296,7 @@ def test_the_configuration_is_known_before_the_run(made, tmp_path):
   run(made, tmp_path / 'run', '--learning_rate=0.01', '--recipe=best', epochs=1)
   stored = checkpoint.read_config(str(tmp_path / 'run'))
   named = {'network': 'shape', 'data': made, 'workdir': 'elsewhere', 'epochs': 1, 'batch_size': 2}
-  asked = program.configuration(**named, learning_rate=0.01, recipe='best')
+  asked = training.configuration(**named, learning_rate=0.01, recipe='best')
   assert stored == {'format': checkpoint.FORMAT, **asked}
   assert (stored['recipe'], stored['sample'], stored['schedule']) == (
     'best',
@@ -350,7 +351,7 @@ def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
     run(made, tmp_path / 'run', '--schedule=cosine', epochs=2)
 
 
-@pytest.mark.parametrize('dtype', program.DTYPES)
+@pytest.mark.parametrize('dtype', training.DTYPES)
 @pytest.mark.parametrize(
   ('heads', 'name'), [('dense', 'make_step'), ('surface', 'make_surface_step')]
 )

@@ -5,9 +5,11 @@ import json
 import numpy as np
 from PIL import Image
 
-from experiments import people_analysis, people_report, protocol, runs, tables
-from experiments.runs import Run
-from experiments.tables import AVERAGE, Row, Scores
+from experiments.lib import protocol, runs, tables
+from experiments.lib.runs import Run
+from experiments.lib.tables import AVERAGE, Row, Scores
+from experiments.paper.people import analysis as people_analysis
+from experiments.paper.people import summary as people_report
 
 AZIMUTHS = (0, 90, 180, 270)
 CONFIG = {  # of a run, as experiments.train stores it
@@ -29,7 +31,7 @@ CONFIG = {  # of a run, as experiments.train stores it
 }
 
 
-def source(program='table_iou', *, data='DATA', seeds=1, **changes):
+def source(program='paper.iou', *, data='DATA', seeds=1, **changes):
   """What a program tells of how it made its results: command, data set, runs."""
   argv = ['python', '-m', f'experiments.{program}', f'--data={data}', '--workdir=/x/work']
   used = [Run(f'msfcel_all_{n}', CONFIG | {'seed': n} | changes, 4) for n in range(seeds)]
@@ -64,14 +66,14 @@ def write_tables(folder, *, seeds=1, **changes):
     row('msfcel', 0.3, paper, seeds=seeds),
     row('cross_entropy', 0.25, {**paper, AVERAGE: 0.4}, seeds=seeds),
   ]
-  write('iou', 'table_iou', {'paper': part(shapes), 'val': part(shapes)})
+  write('iou', 'paper.iou', {'paper': part(shapes), 'val': part(shapes)})
   colors = [row('blended_0.2', 16), row('flow', 15)]
-  write('psnr', 'table_psnr', {m: part(colors) for m in ('psnr_rgb', 'psnr_ycbcr')})
+  write('psnr', 'paper.psnr', {m: part(colors) for m in ('psnr_rgb', 'psnr_ycbcr')})
   steps = [row('paper', 0.2), row('plus_threshold', 0.25)]
   last = tables.compare(row('best', 0.25), row('paper', 0.2))
   both = {m: tables.to_part(steps, [last]) for m in ('iou', 'psnr_rgb')}
-  write('ablation', 'ablation', {'val': both, 'test': both})
-  write('structure', 'structure', {m: part(shapes) for m in ('iou', 'psnr_rgb')})
+  write('ablation', 'paper.ablation', {'val': both, 'test': both})
+  write('structure', 'paper.structure', {m: part(shapes) for m in ('iou', 'psnr_rgb')})
 
 
 def write_people(folder):
@@ -89,7 +91,7 @@ def write_people(folder):
     tested=complexity,
     analysis=people_analysis.analyze(AZIMUTHS, iou, complexity),
   )
-  told = source('people', category=['human'])
+  told = source('paper.people', category=['human'])
   write_json(folder / 'tables/people.json', told | people_report.to_json(study))
   write_figure(folder / 'figures/people_azimuth.png')
 
@@ -103,7 +105,7 @@ def write_training(folder, name='msfcel_all_0', **changes):
   log.write_text(''.join(json.dumps(x) + '\n' for x in lines))
 
 
-def write_figure(path, caption='', program='figure_random'):
+def write_figure(path, caption='', program='paper.figures.random'):
   """A red picture, with its caption beside it where there is one."""
   image = np.full((6, 300, 3), (200, 0, 0), np.uint8)
   if caption:
@@ -120,7 +122,7 @@ def write_all(folder, **changes):
   write_training(folder)
   write_training(folder, 'blended_all_0', network='color')
   write_figure(folder / 'figures/random.png', 'Drawn at random, <b>not</b> chosen: seed 7.')
-  write_figure(folder / 'user_study/standin.png', 'Of no person.', 'user_study_standin')
+  write_figure(folder / 'user_study/standin.png', 'Of no person.', 'study.standin')
   command = 'python -m experiments.train --workdir=/home/someone/work/runs/msfcel_all_0 --seed=0'
   write_json(folder / 'seconds.json', {command: 90.0})
   return folder
