@@ -7,6 +7,11 @@ from collections.abc import Iterator
 
 from cvn.errors import UserError
 
+try:
+  import fcntl
+except ImportError:  # not a POSIX system
+  fcntl = None
+
 
 @contextlib.contextmanager
 def atomic_write(path: str) -> Iterator[str]:
@@ -33,3 +38,14 @@ def atomic_write(path: str) -> Iterator[str]:
   finally:
     with contextlib.suppress(FileNotFoundError):
       os.unlink(temporary)
+
+
+@contextlib.contextmanager
+def locked(path: str | os.PathLike) -> Iterator[None]:
+  """Lets one process at a time run the body, if the file can be made and its system has locks."""
+  with contextlib.ExitStack() as stack:
+    with contextlib.suppress(OSError, AttributeError):
+      os.makedirs(os.path.dirname(path), exist_ok=True)
+      file = stack.enter_context(open(path, 'w'))
+      fcntl.flock(file, fcntl.LOCK_EX)
+    yield

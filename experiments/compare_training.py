@@ -23,7 +23,11 @@ from experiments.lib import differences, markdown, pictures, runs
 from experiments.lib.runs import Run
 from experiments.lib.stages import read_bytes
 
-VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
+VARIANTS = {
+  'float32': {'dtype': 'float32'},
+  'mixed': {'dtype': 'mixed'},
+  'surface': {'dtype': 'float32', 'heads': 'surface'},
+}
 SHAPE_VARIANTS = ('float32', 'mixed')
 STYLES = dict(zip(VARIANTS, ('-', '--', ':'), strict=True))  # float32 and mixed lie on each other
 MEASURES = {

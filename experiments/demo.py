@@ -25,6 +25,7 @@ from experiments.lib.picks import Pick
 from experiments.lib.runs import Run
 from experiments.lib.scoring import to_voxels
 from experiments.lib.stages import read_bytes, read_json, run_program, seconds_of
+from experiments.lib.training import DTYPE_CHOICES
 
 # Pictures show the object's front at different angles: these views of the data set, in turn.
 PICTURE_VIEWS = (1, 11, 2, 10)
@@ -52,6 +53,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('color_epochs', 32, 'Of the colour network.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 12, 'Views a training step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', 1e-3, "Higher than the paper's: time is short.", 0, **own)
+  flags.DEFINE_enum('dtype', 'auto', DTYPE_CHOICES, 'As of experiments.train.', **own)
   flags.DEFINE_integer('pictures', 6, 'Held-out pictures to reconstruct.', 1, 8, **own)
   flags.DEFINE_integer('workers', 2, 'Processes that make objects.', lower_bound=1, **own)
   flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
@@ -86,7 +88,7 @@ def run(f: flags.FlagValues) -> int:
       'experiments.train',
       network=network,
       recipe='best',
-      dtype='mixed',
+      dtype=f.dtype,
       fresh_statistics=FRESH_STATISTICS,
       data=folder['data'],
       workdir=folder[network],

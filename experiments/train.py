@@ -36,7 +36,13 @@ from cvn import (
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
 from cvn.recipe import Recipe
-from experiments.lib.training import define_flags, is_finished, make_config, make_recipe
+from experiments.lib.training import (
+  define_flags,
+  is_finished,
+  make_config,
+  make_recipe,
+  resolve_dtype,
+)
 from experiments.lib.training_pictures import draw_views
 
 PICTURES = 4  # views drawn at each validation
@@ -62,6 +68,7 @@ def run(f: flags.FlagValues) -> int:
     mirror=recipe.mirror,
     recolor=recipe.recolor,
   )
+  resolve_dtype(f)
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
   checkpoint.start(f.workdir, make_config(f, recipe, dataset, rows))

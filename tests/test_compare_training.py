@@ -55,11 +55,11 @@ def test_trains_each_network_in_each_way_from_the_same_seed(data, tmp_path, comm
   program.run(parse(data, '--batch_size=2', f'--workdir={tmp_path}', '--seeds=3', '--epochs=2'))
   trained = [named for name, named in commands if name == 'experiments.train']
   assert [(t['network'], t.get('dtype'), t.get('heads')) for t in trained] == [
-    ('shape', None, None),
+    ('shape', 'float32', None),
     ('shape', 'mixed', None),
-    ('color', None, None),
+    ('color', 'float32', None),
     ('color', 'mixed', None),
-    ('color', None, 'surface'),
+    ('color', 'float32', 'surface'),
   ]
   assert {(t['seed'], t['epochs'], t['data']) for t in trained} == {
     ('3', 2, data.removeprefix('--data='))

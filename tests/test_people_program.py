@@ -40,7 +40,12 @@ def given(tmp_path_factory):
     save_network(str(folder), kind, network(IMAGE, GRID))
     os.rename(folder / 'checkpoints' / '0', folder / 'checkpoints' / '2')
     config = training.configuration(
-      network=kind, data=root / 'data', workdir=folder, category='human', batch_size=1
+      network=kind,
+      data=root / 'data',
+      workdir=folder,
+      category='human',
+      batch_size=1,
+      dtype='float32',
     )
     (folder / 'config.json').write_text(json.dumps({'format': 1, **config}))
   return {'data': root / 'data', 'workdir': root / 'work'}

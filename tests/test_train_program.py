@@ -103,6 +103,7 @@ def run(made, workdir, *arguments, network='shape', epochs=2):
       '--batch_size=2',
       '--validate_every=1',
       '--log_every=3',
+      '--dtype=float32',
       *arguments,
     )
   )
@@ -349,6 +350,23 @@ def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
   run(made, tmp_path / 'run', '--schedule=cosine', epochs=1)
   with pytest.raises(UserError, match='was made with epochs=1, not 2'):
     run(made, tmp_path / 'run', '--schedule=cosine', epochs=2)
+
+
+@pytest.mark.parametrize('dtype', training.DTYPES)
+def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
+  made, tmp_path, monkeypatch, capsys, dtype
+):
+  monkeypatch.setattr(training.native, 'faster_dtype', lambda: (dtype, '3 ms are less than 4 ms'))
+  run(made, tmp_path / 'run', '--dtype=auto', epochs=1)
+  assert checkpoint.read_config(str(tmp_path / 'run'))['dtype'] == dtype
+  assert f'--dtype=auto is {dtype}: 3 ms are less than 4 ms' in capsys.readouterr().out
+  # Another machine, where the other type is faster.
+  (other,) = {*training.DTYPES} - {dtype}
+  monkeypatch.setattr(training.native, 'faster_dtype', lambda: (other, ''))
+  assert run(made, tmp_path / 'run', '--dtype=auto', epochs=2) == 0
+  assert f'--dtype=auto is {dtype}: {tmp_path / "run"} was begun with it' in capsys.readouterr().out
+  with pytest.raises(UserError, match=f'dtype={dtype}, not {other}'):
+    run(made, tmp_path / 'run', f'--dtype={other}', epochs=3)
 
 
 @pytest.mark.parametrize('dtype', training.DTYPES)

@@ -5,17 +5,19 @@ it is the same.
 """
 
 import math
+import os
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from absl import flags
 
-from cvn import data, losses, sampler
+from cvn import checkpoint, data, losses, sampler
 from cvn import recipe as recipes
 from cvn.dataset import Dataset, digest, open_dataset
 from cvn.errors import UserError
 from cvn.networks import NETWORKS
+from cvn.ops import native
 from cvn.recipe import RECIPES, Recipe
 
 SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
@@ -24,6 +26,7 @@ SURFACE_DISTANCES = {
   'l1': losses.surface_l1,
 }
 DTYPES = ('float32', 'mixed')
+DTYPE_CHOICES = ('auto', *DTYPES)
 HEADS = ('dense', 'surface')
 SAMPLERS = {
   'bilinear': sampler.bilinear,
@@ -55,10 +58,12 @@ def define_flags(f: flags.FlagValues) -> None:
   )
   flags.DEFINE_enum(
     'dtype',
-    'float32',
-    DTYPES,
-    'Of the factors in the 3D layers; mixed: bfloat16, while sums, statistics, parameters and'
-    ' optimizer stay float32. Faster on processors and accelerators that multiply bfloat16.',
+    'auto',
+    DTYPE_CHOICES,
+    'Type of the volumes that the 3D layers multiply. mixed: bfloat16, while sums, statistics,'
+    ' parameters and optimizer stay float32. auto: what the run in --workdir was begun with; in a'
+    ' new run the faster type, which is mixed on accelerators, and on a CPU what was measured for'
+    ' its compiled kernels.',
     **own,
   )
   flags.DEFINE_enum(
@@ -124,6 +129,22 @@ def define_flags(f: flags.FlagValues) -> None:
   )
 
 
+def resolve_dtype(f: flags.FlagValues) -> None:
+  """Replaces --dtype=auto by what it comes to, so that this is what is stored; prints why.
+
+  Raises:
+    UserError: --workdir holds a run whose settings cannot be read.
+  """
+  if f.dtype != 'auto':
+    return
+  if os.path.lexists(os.path.join(f.workdir, 'config.json')):
+    stored = checkpoint.read_config(f.workdir)
+    f.dtype, why = stored.get('dtype', 'float32'), f'{f.workdir} was begun with it'
+  else:
+    f.dtype, why = native.faster_dtype()
+  print(f'--dtype=auto is {f.dtype}: {why}')
+
+
 def make_recipe(f: flags.FlagValues) -> Recipe:
   """The recipe that the flags name, with what they change in it."""
   names = (*PARTS, 'learning_rate', 'mirror', 'recolor')
@@ -137,6 +158,7 @@ def configuration(**named: Any) -> dict[str, Any]:
   f = flags.FlagValues()
   define_flags(f)
   f(['train', *(f'--{k}={v}' for k, v in named.items())])
+  resolve_dtype(f)
   dataset = open_dataset(f.data)
   rows = data.select_rows(dataset, 'train', f.category, f.source)
   return make_config(f, make_recipe(f), dataset, rows)

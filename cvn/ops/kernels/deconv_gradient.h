@@ -25,7 +25,7 @@ struct FineRows<Vectors> {
       a[i] = left + i * left_size;
       b[i] = rows[i] + tap * wide_out;
     }
-    AddOuter(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
+    AddOuter<Floats>(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
   }
 
   // f(gain x + offset) for the left side of these products: [z][wide].
@@ -36,6 +36,54 @@ struct FineRows<Vectors> {
     in.Row(row, wide, scratch, to);
   }
 };
+
+#if CVN_PAIRS
+
+// Behind the voxels, which are [2 high + 1][wide], there are for each tap along z the words of
+// pairs of voxels that are two apart.
+template <>
+struct FineRows<Pairs> {
+  static int64_t Words(int64_t high) { return (high + 1) / 2; }
+  static int64_t At(int64_t tap, int64_t high, int64_t wide) {
+    return (2 * high + 1 + 2 * tap * Words(high)) * wide;
+  }
+  static int64_t Size(int64_t high, int64_t wide) { return At(3, high, wide); }
+
+  static void Finish(int64_t z, int64_t high, int64_t wide, Bf16* row) {
+    for (int64_t t = 0; t < 3; ++t) {
+      Bf16* to = row + At(t, high, wide);
+      for (int64_t i = 0; i < z; i += 2, to += 2 * wide) {
+        Pairs::Join(row + (2 * i + t) * wide, row + std::min(2 * i + 2 + t, 2 * high) * wide, wide,
+                    to);
+      }
+    }
+  }
+
+  static void AddTerms(int count, const Bf16* left, int64_t left_size, const Bf16* const* rows,
+                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+    const Bf16 *a[kMaxTaps], *b[kMaxTaps];
+    for (int i = 0; i < count; ++i) {
+      a[i] = left + i * left_size;
+      b[i] = rows[i] + At(tap, high, wide_out);
+    }
+    Pairs::AddOuter(count, a, wide_in, b, wide_out, Words(high), wide_in, wide_out, total);
+  }
+
+  // [words][wide]
+  static int64_t LeftSize(int64_t high, int64_t wide) { return 2 * Words(high) * wide; }
+  template <typename In>
+  static void Left(const Source<In>& in, int64_t row, int64_t high, int64_t wide, float* scratch,
+                   Bf16* to) {
+    float* voxels = scratch + RoundUp(in.padded, kLanes);
+    in.Row(row, wide, scratch, voxels);
+    std::fill_n(voxels + high * wide, wide, 0.0f);  // behind the last voxel of an odd number
+    for (int64_t i = 0; i < high; i += 2) {
+      Pairs::Join(voxels + i * wide, voxels + (i + 1) * wide, wide, to + i * wide);
+    }
+  }
+};
+
+#endif  // CVN_PAIRS
 
 #if CVN_TILES
 
@@ -120,7 +168,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     const int64_t kept_rows = 2 * s.y;
     Scratch<Element> buffer((kept_rows + 2 * kRows + 1) * row_size), left(kStrip * left_size);
     Scratch<float> fine(cotangent.padded), sum(high * wide_in), flat(in.padded);
-    Scratch<float> scratch(2 * (high * wide_in + in.padded)), total(kTaps * wide_in * wide_out);
+    Scratch<float> scratch(2 * ((high + 1) * wide_in + in.padded)), total(kTaps * wide_in * wide_out);
     Scratch<float> places(2 * in.padded);
     Sums moments(s.cin);
     std::vector<Element*> kept(kept_rows);

@@ -82,7 +82,7 @@ ffi::Error Conv(ffi::ThreadPool pool, AnyArray x, Array gain, Array offset, Arra
   return WithType(x, [&](auto* in) {
     using In = Plain<decltype(in)>;
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvRows<decltype(product)>(s, source, w.typed_data(), pool, y->typed_data(),
                                   sums->typed_data());
     });
@@ -98,7 +98,7 @@ ffi::Error ConvGradient(ffi::ThreadPool pool, AnyArray x, Array gain, Array offs
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
     const Cotangent<float> cotangent(y.typed_data(), dy.typed_data(), dsums.typed_data(), s.z,
                                      s.cout);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvGradients<decltype(product)>(s, source, w.typed_data(), cotangent, pool, Data(*dx, in),
                                        sums->typed_data(), dw->typed_data());
     });
@@ -182,6 +182,27 @@ ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result 
 }
 
 }  // namespace
+
+// What the kernels were compiled for.
+extern "C" const char* cvn_instruction_set() {
+#if CVN_TILES
+  return "AVX-512 with BF16 and AMX";
+#elif defined(__AVX512BF16__)
+  return "AVX-512 with BF16";
+#elif defined(__AVX512F__)
+  return "AVX-512";
+#elif defined(__AVX2__)
+  return "AVX2";
+#elif defined(__AVX__)
+  return "AVX";
+#elif defined(__aarch64__)
+  return "NEON";
+#elif defined(__SSE2__)
+  return "SSE2";
+#else
+  return "no vectors";
+#endif
+}
 
 #define CVN_KERNEL(name, function) \
   XLA_FFI_DEFINE_HANDLER_SYMBOL(name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()
