@@ -26,8 +26,8 @@ from absl import flags
 
 from cvn import environment, errors
 from cvn.files import atomic_write
+from experiments.lib.training import DTYPES
 from experiments.perf import layers, measuring, peer
-from experiments.train import DTYPES
 
 KINDS = ('shape', 'color')
 INFERENCES = 20

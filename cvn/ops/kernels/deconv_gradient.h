@@ -19,13 +19,14 @@ struct FineRows<Vectors> {
 
   // Adds one strip's terms of a kernel's gradient.
   static void AddTerms(int count, const float* left, int64_t left_size, const float* const* rows,
-                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+                       int tap, int64_t high, int64_t wide_in, int64_t deep, int64_t wide_out,
+                       float* total) {
     const float *a[kMaxTaps], *b[kMaxTaps];
     for (int i = 0; i < count; ++i) {
       a[i] = left + i * left_size;
-      b[i] = rows[i] + tap * wide_out;
+      b[i] = rows[i] + tap * deep;
     }
-    AddOuter<Floats>(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
+    AddOuter<Floats>(count, a, wide_in, b, 2 * deep, high, wide_in, wide_out, total, wide_out);
   }
 
   // f(gain x + offset) for the left side of these products: [z][wide].
@@ -60,7 +61,8 @@ struct FineRows<Pairs> {
   }
 
   static void AddTerms(int count, const Bf16* left, int64_t left_size, const Bf16* const* rows,
-                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+                       int tap, int64_t high, int64_t wide_in, int64_t, int64_t wide_out,
+                       float* total) {
     const Bf16 *a[kMaxTaps], *b[kMaxTaps];
     for (int i = 0; i < count; ++i) {
       a[i] = left + i * left_size;
@@ -113,7 +115,8 @@ struct FineRows<Tiles> {
   }
 
   static void AddTerms(int count, const Bf16* left, int64_t left_size, const Bf16* const* rows,
-                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+                       int tap, int64_t high, int64_t wide_in, int64_t, int64_t wide_out,
+                       float* total) {
     const Bf16 *a[kMaxTaps], *b[kMaxTaps];
     for (int i = 0; i < count; ++i) {
       a[i] = left + i * left_size;
@@ -151,7 +154,10 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
   using Element = typename Product::Element;
   using Fine = FineRows<Product>;
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
-  const int64_t deep = RoundUp(s.cout, std::max(kLanes, Product::kDepth));
+  // Where the channels of three voxels fit one vector, voxels stand side by side: one product then
+  // makes the terms of all three taps along z.
+  const bool narrow = std::is_same_v<Product, Vectors> && 3 * s.cout <= kLanes;
+  const int64_t deep = narrow ? s.cout : RoundUp(s.cout, std::max(kLanes, Product::kDepth));
   const int64_t high = RoundUp(s.z, Product::kRows);
   Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide_in);
@@ -201,10 +207,10 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
         for (int i = 0; i < count; ++i) {
           Fine::Left(in, row + i, high, wide_in, scratch.data(), left.data() + i * left_size);
         }
-        for (int t = 0; t < kTaps; ++t) {
+        for (int t = 0; t < kTaps; t += narrow ? 3 : 1) {
           const Element* b[kStrip];
           for (int i = 0; i < count; ++i) b[i] = source[t / 9][2 * i + t / 3 % 3];
-          Fine::AddTerms(count, left.data(), left_size, b, t % 3, high, wide_in, wide_out,
+          Fine::AddTerms(count, left.data(), left_size, b, t % 3, high, wide_in, deep, wide_out,
                          total.data() + t * wide_in * wide_out);
         }
         for (int i = 0; i < count; ++i) {
@@ -227,7 +233,9 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     }
     moments.CopyTo(sums + sample * 2 * s.cin);
     for (int64_t t = 0; t < kTaps; ++t) {
-      Unpad(total.data() + t * wide_in * wide_out, wide_out, s.cin, s.cout,
+      const int64_t place = narrow ? t / 3 * 3 * wide_in * wide_out + t % 3 * s.cout
+                                   : t * wide_in * wide_out;
+      Unpad(total.data() + place, wide_out, s.cin, s.cout,
             dw + (sample * kTaps + t) * s.cin * s.cout);
     }
   });
