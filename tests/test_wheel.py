@@ -1,4 +1,4 @@
-"""Wheels carry compiled kernels; editable installs, sdists and machines without a compiler do not."""
+"""Wheels carry compiled kernels; editable installs and sdists do not."""
 
 import base64
 import csv
