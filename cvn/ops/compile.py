@@ -21,7 +21,7 @@ _BF16 = ('-mavx512bf16', '-mavx512vnni')
 TARGETS: dict[str, tuple[str, ...]] = {
   'x86-64-v3': ('-march=x86-64-v3',),
   'x86-64-v4': (_V4,),
-  'x86-64-v4-bf16': (_V4, *_BF16),
+  'x86-64-v4-bf16': (_V4, *_BF16, '-DCVN_LANES=8'),  # chiefly Zen 4, see kernels/simd.h
   'sapphirerapids': (_V4, *_BF16, '-mamx-tile', '-mamx-bf16', '-mtune=sapphirerapids'),
   'aarch64': ('-march=armv8-a',),
 }

@@ -213,7 +213,8 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
             a[t] = source[t / 9][2 * i + t / 3 % 3] + t % 3 * deep;
             b[t] = weight.data() + t * deep * wide_in;
           }
-          Product::Multiply(kTaps, a, 2 * deep, b, high, deep, wide_in, sum.data(), wide_in);
+          Product::Multiply(kTaps, a, 2 * deep, b, high, RoundUp(s.cout, Product::kDepth), wide_in,
+                            sum.data(), wide_in);
           if (wide_in != s.cin) Unpad(sum.data(), wide_in, s.z, s.cin, flat.data());
           in.Gradient(row + i, wide_in == s.cin ? sum.data() : flat.data(), places.data(), dx,
                       nullptr);

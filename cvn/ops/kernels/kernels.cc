@@ -185,23 +185,26 @@ ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result 
 
 // What the kernels were compiled for.
 extern "C" const char* cvn_instruction_set() {
+#define CVN_TEXT(x) #x
+#define CVN_STRING(x) CVN_TEXT(x)
 #if CVN_TILES
-  return "AVX-512 with BF16 and AMX";
-#elif defined(__AVX512BF16__)
-  return "AVX-512 with BF16";
-#elif defined(__AVX512F__)
-  return "AVX-512";
+#define CVN_SET "AVX-512 with BF16 and AMX"
+#elif CVN_PAIRS
+#define CVN_SET "AVX-512 with BF16"
+#elif defined(__AVX512VL__)
+#define CVN_SET "AVX-512"
 #elif defined(__AVX2__)
-  return "AVX2";
+#define CVN_SET "AVX2"
 #elif defined(__AVX__)
-  return "AVX";
+#define CVN_SET "AVX"
 #elif defined(__aarch64__)
-  return "NEON";
+#define CVN_SET "NEON"
 #elif defined(__SSE2__)
-  return "SSE2";
+#define CVN_SET "SSE2"
 #else
-  return "no vectors";
+#define CVN_SET "no vectors"
 #endif
+  return CVN_SET ", " CVN_STRING(CVN_LANES) " lanes";
 }
 
 #define CVN_KERNEL(name, function) \

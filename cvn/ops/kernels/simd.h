@@ -21,19 +21,21 @@
 namespace cvn {
 
 // Floats in a vector, and vectors that the registers hold. CVN_LANES asks for shorter vectors than
-// the widest: a processor that computes 512 bits in two halves (Zen 4) gains nothing by AVX-512's
-// width, but by its registers.
+// the widest. A processor that computes 512 bits in two halves (Zen 4) gains nothing by AVX-512's
+// width: there vectors of 256 bits waste less on numbers of channels that fill no 512.
 #if defined(__AVX512VL__) || defined(__aarch64__)
 constexpr int64_t kRegisters = 32;
 #else
 constexpr int64_t kRegisters = 16;
 #endif
-#if !defined(CVN_LANES) && defined(__AVX512VL__)
+#if !defined(CVN_LANES)
+#if defined(__AVX512VL__) && !defined(__znver3__) && !defined(__znver4__)  // older GCC: Zen 4 is 3
 #define CVN_LANES 16
-#elif !defined(CVN_LANES) && defined(__AVX__)
+#elif defined(__AVX__)
 #define CVN_LANES 8
-#elif !defined(CVN_LANES)
+#else
 #define CVN_LANES 4
+#endif
 #endif
 constexpr int64_t kLanes = CVN_LANES;
 

@@ -9,7 +9,7 @@ import synthetic
 
 from cvn.errors import UserError
 from cvn.ops import deconv
-from experiments import measuring
+from experiments.perf import measuring
 
 
 def fail(message):

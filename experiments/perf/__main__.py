@@ -1,6 +1,6 @@
 r"""How fast a network trains: whole steps (forward, loss, backward, Adam) on synthetic batches.
 
-python -m experiments.benchmark [--network=shape|color|both] [--batch_size=12,60] \
+python -m experiments.perf [--network=shape|color|both] [--batch_size=12,60] \
   [--dtype=float32,mixed] [--json=FILE] [--data=DIR] [--reference] \
   [--peer="COMMAND --net {network} --batch {batch} --dtype {dtype}"]
 
@@ -26,7 +26,7 @@ from absl import flags
 
 from cvn import environment, errors
 from cvn.files import atomic_write
-from experiments import layer_table, measuring, peer
+from experiments.perf import layers, measuring, peer
 from experiments.train import DTYPES
 
 KINDS = ('shape', 'color')
@@ -113,7 +113,7 @@ def measure(
     found |= {'peaks': peaks._asdict(), 'layers': [plain(row) for row in rows]}
     say(
       f'\nPeaks: {peaks.float32 / 1e9:.0f} GFLOP/s float32, {peaks.bfloat16 / 1e9:.0f} bfloat16,'
-      f' {peaks.bandwidth / 1e9:.1f} GB/s\n\n{layer_table.format_rows(rows, peaks)}\n'
+      f' {peaks.bandwidth / 1e9:.1f} GB/s\n\n{layers.format_rows(rows, peaks)}\n'
     )
   return found
 

@@ -7,7 +7,8 @@ import pytest
 from absl import flags
 
 from cvn.errors import UserError
-from experiments import benchmark, layer_table, measuring
+from experiments.perf import __main__ as benchmark
+from experiments.perf import layers, measuring
 
 MACHINE = {
   'processor': 'Abacus',
@@ -18,13 +19,13 @@ MACHINE = {
   'versions': {'jax': '1.2'},
   'settings': {'LD_PRELOAD': 'b.so'},
 }
-PEAKS = layer_table.Peaks(1e9, 2e9, 1e9)
-ROW = layer_table.Row(
+PEAKS = layers.Peaks(1e9, 2e9, 1e9)
+ROW = layers.Row(
   'a',
   (2, 3),
   'float32',
-  layer_table.Cost(1000, 100, 1e-6, 2e-6),
-  layer_table.Cost(2000, 200, 2e-6, 4e-6),
+  layers.Cost(1000, 100, 1e-6, 2e-6),
+  layers.Cost(2000, 200, 2e-6, 4e-6),
 )
 
 

@@ -7,8 +7,8 @@ import pytest
 from flax import linen as nn
 
 from cvn import layers, train
-from experiments import layer_table
-from experiments.layer_table import Cost, Layer, Peaks, Row
+from experiments.perf import layers as perf_layers
+from experiments.perf.layers import Cost, Layer, Peaks, Row
 
 PEAKS = Peaks(float32=1e9, bfloat16=4e9, bandwidth=1e9)
 
@@ -33,7 +33,7 @@ def array(*shape, dtype=jnp.float32):
 
 
 def test_layers_come_in_the_order_of_the_forward_pass():
-  found = layer_table.layers_of(train.NETWORKS['shape'], 2)
+  found = perf_layers.layers_of(train.NETWORKS['shape'], 2)
   names = [layer.name for layer in found]
   assert names[:2] == ['encoder/conv0', 'encoder/conv0/norm']
   assert names[-2:] == ['head/deconv', 'head/conv']
@@ -44,8 +44,8 @@ def test_layers_come_in_the_order_of_the_forward_pass():
 
 
 def test_operations_by_hand():
-  found = {x.name: x for x in layer_table.layers_of(train.NETWORKS['shape'], 3)}
-  count = layer_table.count_operations
+  found = {x.name: x for x in perf_layers.layers_of(train.NETWORKS['shape'], 3)}
+  count = perf_layers.count_operations
   assert count(found['encoder/conv0']) == 2 * 3 * 64**2 * 7**2 * 3 * 64
   assert count(found['encoder/latent0']) == 2 * 3 * 512 * 512
   assert count(found['head/deconv']) == 2 * 3 * 32**3 * 27 * 32 * 24
@@ -59,18 +59,18 @@ def test_bytes_by_hand(dtype, size):
   volume = layers.Volume(x, array(5), array(5), layers.ELU)
   layer = Layer('', layers.Deconv3D(3), (volume,), y)
   read, kernel, written = size * 2 * 64 * 5, 4 * 27 * 5 * 3, size * 2 * 512 * 3
-  assert layer_table.count_bytes(layer, True) == (
+  assert perf_layers.count_bytes(layer, True) == (
     read + kernel + written,
     2 * read + 2 * kernel + 2 * written,
   )
-  assert layer_table.count_bytes(layer, False)[1] == read + kernel + 2 * written
+  assert perf_layers.count_bytes(layer, False)[1] == read + kernel + 2 * written
   norm = Layer('', layers.Norm(layers.ELU), (y, array(3)), y)
-  assert layer_table.count_bytes(norm, True) == (3 * written, 5 * written)
+  assert perf_layers.count_bytes(norm, True) == (3 * written, 5 * written)
 
 
 def test_rows_of_a_network(monkeypatch):
   monkeypatch.setitem(train.NETWORKS, 'small', Small())
-  rows = layer_table.time_layers('small', 2, False, PEAKS)
+  rows = perf_layers.time_layers('small', 2, False, PEAKS)
   with_norm = [f'{name}{end}' for name in ('conv', 'collect', 'dense') for end in ('', '/norm')]
   names = [*with_norm, 'deconv', 'conv3']
   assert [r.name for r in rows] == names
@@ -85,19 +85,19 @@ def test_rows_of_a_network(monkeypatch):
 
 def test_convolutions_of_a_mixed_network_are_measured_by_the_peak_of_bfloat16(monkeypatch):
   monkeypatch.setitem(train.NETWORKS, 'small', Small())
-  first, norm = layer_table.time_layers('small', 2, True, PEAKS)[:2]
+  first, norm = perf_layers.time_layers('small', 2, True, PEAKS)[:2]
   assert (first.dtype, norm.dtype) == ('bfloat16', 'float32')
 
 
 def test_a_layer_with_weights_is_timed_without_its_normalisation():
   module = layers.Dense(4)
   x, kernel = jnp.ones((2, 3)), jnp.arange(12.0).reshape(3, 4)
-  found = layer_table._alone(module)({'kernel': kernel, 'bias': jnp.ones(4)}, x)
+  found = perf_layers._alone(module)({'kernel': kernel, 'bias': jnp.ones(4)}, x)
   np.testing.assert_allclose(found, x @ kernel)
 
 
 def test_peaks_are_measured():
-  assert all(p > 0 for p in layer_table.measure_peaks(size=64, megabytes=1))
+  assert all(p > 0 for p in perf_layers.measure_peaks(size=64, megabytes=1))
 
 
 def test_table():
@@ -107,7 +107,7 @@ def test_table():
     Row('a', (2, 8, 8, 3), 'float32', cost, cost),
     Row('b', (2, 8, 8, 3), 'bfloat16', cost, norm),
   ]
-  lines = layer_table.format_rows(rows, PEAKS).split('\n')
+  lines = perf_layers.format_rows(rows, PEAKS).split('\n')
   assert len({line.count('|') for line in lines}) == 1
   assert lines[2].startswith('| a | 8x8x3 | 0.00 | 1.0 | 2.00 | 4.00 | 2.0 | 50% |')
   assert lines[3].startswith('| b | 8x8x3 | 0.00 | 1.0 | 2.00 | 4.00 | 2.0 | 12% | 1.00 | 3.00 |')

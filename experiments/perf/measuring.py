@@ -1,4 +1,4 @@
-"""What experiments.benchmark measures, each figure in a process of its own.
+"""What experiments.perf measures, each figure in a process of its own.
 
 So no figure knows of another's compiled programs, memory or threads, and the peak of a process is
 the peak of what it measured. Batches are noise of the shapes that training meets.
@@ -32,12 +32,12 @@ from cvn.grid import GRID_SIZE
 from cvn.machine import processor
 from cvn.ops import deconv, native
 from cvn.recipe import PAPER
-from experiments import layer_table
 from experiments import train as program
+from experiments.perf import layers
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
 REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
-SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES')  # variables that speed depends on
+SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES', 'CVN_KERNELS', 'CVN_TARGET', 'XLA_FLAGS')  # variables that speed depends on
 READERS = {'shape': data.read_shape, 'color': data.read_color}
 DATA_ROUNDS = 3
 DATA_STEPS = 10  # at least, in a round: more than is read ahead
@@ -61,7 +61,7 @@ class DataTimes(NamedTuple):
 
 
 def alone(function: Callable, *args, programs: str | None = None) -> Any:
-  """function(*args), in a new process; what environment.prepare has set is inherited.
+  """function(*args), in a new process; with environment.prepare's settings of memory.
 
   Args:
     function: of a module, so that its name can be sent.
@@ -84,6 +84,7 @@ def alone(function: Callable, *args, programs: str | None = None) -> Any:
 
 
 def _call(function, *args):
+  environment.keep_memory()
   with program.out_of_memory_is_a_user_error():
     return function(*args)
 
@@ -143,12 +144,10 @@ def time_reference(kind: str) -> Steps:
     return time_steps(kind, REFERENCE_BATCH, False, 1)
 
 
-def time_layers(
-  kind: str, batch_size: int, mixed: bool
-) -> tuple[layer_table.Peaks, list[layer_table.Row]]:
+def time_layers(kind: str, batch_size: int, mixed: bool) -> tuple[layers.Peaks, list[layers.Row]]:
   """The machine's peaks and the layers' times."""
-  peaks = layer_table.measure_peaks()
-  return peaks, layer_table.time_layers(kind, batch_size, mixed, peaks)
+  peaks = layers.measure_peaks()
+  return peaks, layers.time_layers(kind, batch_size, mixed, peaks)
 
 
 def time_inference(repeats: int) -> tuple[float, ...]:

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from cvn.errors import UserError
-from experiments import peer
+from experiments.perf import peer
 
 FIELDS = {'network': 'shape', 'batch': 12, 'dtype': 'bf16'}
 
