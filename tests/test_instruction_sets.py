@@ -38,7 +38,7 @@ MAPS = [
   ((2, 8, 70, 64), 5, 64),
   ((1, 36, 4, 16), 4, 16),
 ]
-CHANNELS = [1, 3, 5, 8, 16, 24, 33]
+CHANNELS = [(1, ELU), (3, SIGMOID), (5, IDENTITY), (24, ELU), (33, SIGMOID)]
 PRODUCTS = {
   'deconv': (deconv.deconv, deconv.library_deconv),
   'conv': (deconv.conv, deconv.library_conv),
@@ -180,25 +180,21 @@ def test_conv2d(library, shape, size, out, mixed):
 
 
 @pytest.mark.parametrize('dtype', DTYPES)
-@pytest.mark.parametrize('channels', CHANNELS)
-def test_activated(library, channels, dtype):
-  x, gain, offset, dy = draw(
-    (2, 3, 4, 5, channels), (channels,), (channels,), (2, 3, 4, 5, channels)
-  )
+@pytest.mark.parametrize(('channels', 'activation'), CHANNELS)
+def test_activated(library, channels, activation, dtype):
+  shapes = (2, 3, 4, 5, channels), (channels,), (channels,), (2, 3, 4, 5, channels)
+  x, gain, offset, dy = draw(*shapes)
   x, dy = (jnp.asarray(v, DTYPES[dtype]) for v in (x, dy))
   tolerance = 1e-5 if dtype == 'float32' else 2**-7
-  for activation in (ELU, IDENTITY, SIGMOID):
 
-    def expected(x, gain, offset, activation=activation):
-      gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
-      return (activation.value(x * gain + offset),)
+  def ours(x, gain, offset):
+    return (normalization.activate(x, gain, offset, activation),)
 
-    got = compute(
-      lambda *a, activation=activation: (normalization.activate(*a, activation),),
-      library,
-      (x, gain, offset),
-      (dy,),
-      ['cvn_activated', 'cvn_activated_gradient'],
-    )
-    wide = (x.astype(jnp.float32), gain, offset), (dy.astype(jnp.float32),)
-    assert_close(got, value_and_gradients(expected, *wide), [tolerance] * 4)
+  def expected(x, gain, offset):
+    gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
+    return (activation.value(x * gain + offset),)
+
+  kernels = ['cvn_activated', 'cvn_activated_gradient']
+  got = compute(ours, library, (x, gain, offset), (dy,), kernels)
+  wide = (x.astype(jnp.float32), gain, offset), (dy.astype(jnp.float32),)
+  assert_close(got, value_and_gradients(expected, *wide), [tolerance] * 4)

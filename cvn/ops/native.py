@@ -194,7 +194,8 @@ def _choose() -> Library | None:
     try:
       path = find()
       if path is not None:
-        times = timings.find(path, cache_folder())
+        folder = path.parent if origin == 'compiled' else cache_folder()
+        times = timings.find(path, folder)
         return load(path, suffix='')._replace(origin=origin, timings=times)
     except (OSError, AttributeError, RuntimeError, subprocess.SubprocessError) as e:
       _tell_failure(origin, e)
