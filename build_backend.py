@@ -14,8 +14,10 @@ import importlib.util
 import io
 import os
 import pathlib
+import platform
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -52,47 +54,51 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None) 
     # Nothing of an earlier build may get into this one.
     settings = {**(config_settings or {}), '--global-option': ['build', f'--build-base={folder}']}
     pure = pathlib.Path(folder, build_meta.build_wheel(folder, settings, metadata_directory))
-    try:
-      machine, libraries = compile_kernels(pathlib.Path(folder, 'shipped'))
-    except (OSError, subprocess.SubprocessError) as e:
-      reason = _compiling().reason(e)
-      _warn(f'the wheel carries no kernels, which are compiled on first use instead ({reason})')
-      os.replace(pure, pathlib.Path(wheel_directory, pure.name))
+    machine, libraries = compile_kernels(pathlib.Path(folder, 'shipped'))
+    if not libraries:
+      shutil.copy(pure, wheel_directory)
       return pure.name
-    platform = f'manylinux_2_{glibc_minor(libraries)}_{machine}'
-    wheel = pathlib.Path(wheel_directory, pure.name.replace('none-any', f'none-{platform}'))
-    add_libraries(pure, wheel, libraries, platform=platform)
+    tag = f'manylinux_2_{glibc_minor(libraries)}_{machine}'
+    wheel = pathlib.Path(wheel_directory, pure.name.replace('none-any', f'none-{tag}'))
+    add_libraries(pure, wheel, libraries, tag=tag)
   return wheel.name
 
 
 def compile_kernels(folder: pathlib.Path) -> tuple[str, list[pathlib.Path]]:
   """Compiles the kernels for each instruction set of the machine that the compiler compiles for.
 
+  One line says what could not be compiled, and why.
+
   Args:
     folder: where the libraries go.
 
   Returns:
     The machine's name and the libraries.
-
-  Raises:
-    OSError: there is no compiler, no headers, or the compiler is for another system.
-    subprocess.SubprocessError: the kernels do not compile.
   """
   compiling = _compiling()
-  compiler = compiling.find_compiler()
-  machine = target_machine(compiler)
-  include = [find_headers()]
+  failures = (OSError, subprocess.SubprocessError)
+  try:
+    compiler = compiling.find_compiler()
+    machine = target_machine(compiler)
+    include = [find_headers()]
+  except failures as e:
+    _warn('the wheel carries no kernels', compiling.reason(e))
+    return platform.machine(), []
+
+  def compile_one(target):
+    output = folder / f'kernels-{target}.so'
+    try:
+      compiling.compile_library(
+        SOURCE, output, target=target, compiler=compiler, include=include, options=OPTIONS
+      )
+    except failures as e:
+      _warn(f'the wheel carries no kernels for {target}', compiling.reason(e))
+      return None
+    return output
+
   targets = [t for t in compiling.TARGETS if (t == 'aarch64') == (machine == 'aarch64')]
-  outputs = [folder / f'kernels-{target}.so' for target in targets]
-
-  def compile_one(target, output):
-    compiling.compile_library(
-      SOURCE, output, target=target, compiler=compiler, include=include, options=OPTIONS
-    )
-
   with ThreadPoolExecutor(os.cpu_count()) as threads:
-    list(threads.map(compile_one, targets, outputs))
-  return machine, outputs
+    return machine, list(filter(None, threads.map(compile_one, targets)))
 
 
 def target_machine(compiler: str) -> str:
@@ -137,7 +143,7 @@ def glibc_minor(libraries: Sequence[pathlib.Path]) -> int:
 
 
 def add_libraries(
-  old: pathlib.Path, new: pathlib.Path, libraries: Sequence[pathlib.Path], *, platform: str
+  old: pathlib.Path, new: pathlib.Path, libraries: Sequence[pathlib.Path], *, tag: str
 ) -> None:
   """Writes a wheel for one platform: a wheel for any, and libraries.
 
@@ -145,7 +151,7 @@ def add_libraries(
     old: the wheel for any platform.
     new: the wheel to write.
     libraries: what goes into cvn/ops/shipped/.
-    platform: the platform's tag.
+    tag: the platform's.
   """
   with zipfile.ZipFile(old) as f:
     entries = [(info, f.read(info)) for info in f.infolist()]
@@ -163,7 +169,7 @@ def add_libraries(
         csv.writer(text, lineterminator='\n').writerows(rows)
         data = text.getvalue().encode()
       elif info.filename.endswith('.dist-info/WHEEL'):
-        data = data.replace(b'none-any', b'none-' + platform.encode())
+        data = data.replace(b'none-any', b'none-' + tag.encode())
         data = data.replace(b'Purelib: true', b'Purelib: false')
       digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b'=').decode()
       rows.append((info.filename, f'sha256={digest}', len(data)))
@@ -178,5 +184,5 @@ def _compiling():
   return module
 
 
-def _warn(text):
-  print(f'cvn: {text}', file=sys.stderr)
+def _warn(what, reason):
+  print(f'cvn: {what}, which are compiled on first use instead ({reason})', file=sys.stderr)

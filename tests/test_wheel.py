@@ -1,4 +1,4 @@
-"""Wheels carry compiled kernels; editable installs and sdists do not."""
+"""Wheels carry compiled kernels; sdists, editable installs and builds without a compiler do not."""
 
 import base64
 import csv
@@ -97,6 +97,31 @@ def test_sdists_and_editable_installs_compile_nothing(tmp_path):
   assert not [r for r in backend.get_requires_for_build_editable() if 'jaxlib' in r]
 
 
+def test_a_target_that_does_not_compile_is_left_out(tmp_path, monkeypatch, capsys):
+  backend = read_backend(ROOT)
+  compiler = tmp_path / 'c++'
+  compiler.write_text(
+    """#!/bin/sh
+case "$*" in
+  *-dumpmachine*) echo x86_64-linux-gnu; exit;;
+  *-mamx-tile*) echo 'error: unrecognized option -mamx-tile' >&2; exit 1;;
+esac
+while [ "$1" != -o ]; do shift; done
+echo library > "$2"
+"""
+  )
+  compiler.chmod(0o755)
+  monkeypatch.setenv('CXX', str(compiler))
+  monkeypatch.chdir(ROOT)
+  machine, libraries = backend.compile_kernels(tmp_path / 'shipped')
+  targets = ['x86-64-v3', 'x86-64-v4', 'x86-64-v4-bf16']
+  assert machine == 'x86_64' and [f.name for f in libraries] == [
+    f'kernels-{target}.so' for target in targets
+  ]
+  (line,) = capsys.readouterr().err.splitlines()
+  assert line.startswith('cvn: ') and 'sapphirerapids' in line and '-mamx-tile' in line
+
+
 def test_libraries_make_a_wheel_for_one_platform(tmp_path):
   backend = read_backend(ROOT)
   old, new = tmp_path / 'old.whl', tmp_path / 'new.whl'
@@ -109,7 +134,7 @@ def test_libraries_make_a_wheel_for_one_platform(tmp_path):
   libraries[1].write_bytes(b'\0GLIBC_2.34\0GLIBC_2.3\0 GLIBC_2.99')
   assert backend.glibc_minor(libraries) == 34
   assert backend.glibc_minor(libraries[:1]) == 17
-  backend.add_libraries(old, new, libraries, platform='manylinux_2_34_x86_64')
+  backend.add_libraries(old, new, libraries, tag='manylinux_2_34_x86_64')
   check_record(new)
   with zipfile.ZipFile(new) as f:
     assert f.read('cvn-1.dist-info/WHEEL').decode() == (
