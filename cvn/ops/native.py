@@ -37,11 +37,32 @@ _COMPILERS = ('c++', 'g++', 'clang++')
 _FLAGS = ('-std=c++17', '-O3', '-shared', '-fPIC', '-Wno-psabi')
 
 
-@functools.cache
 def available() -> bool:
   """Whether `jax.ffi.ffi_call` finds the kernels; the first call builds them where it must."""
+  return not missing()
+
+
+def wins(operation: str, *, mixed: bool) -> bool:
+  """Whether the kernels are available and faster than plain operations.
+
+  Args:
+    operation: 'deconv', 'conv', 'conv2d' or 'activated'.
+    mixed: whether factors of products are bfloat16.
+  """
+  del operation, mixed
+  return available()
+
+
+def target(name: str) -> str:
+  """The FFI target of a kernel of `KERNELS`."""
+  return name
+
+
+@functools.cache
+def missing() -> str:
+  """Why there are no kernels; nothing if there are."""
   if os.environ.get('CVN_KERNELS', '') == 'off':
-    return False
+    return 'CVN_KERNELS=off'
   try:
     library = ctypes.CDLL(str(build()))
     for name in KERNELS:
@@ -51,8 +72,8 @@ def available() -> bool:
     logging.warning(
       'cvn: no compiled kernels, so that a CPU trains several times slower (%s)', _reason(e)
     )
-    return False
-  return True
+    return _reason(e)
+  return ''
 
 
 def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> pathlib.Path:
