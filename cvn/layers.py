@@ -31,7 +31,7 @@ _glorot = nn.initializers.glorot_uniform()
 class Volume(NamedTuple):
   """activation(gain x + offset), not computed yet."""
 
-  x: jax.Array  # [B, X, Y, Z, C]
+  x: jax.Array  # [..., X, Y, Z, C]
   gain: jax.Array  # [C]
   offset: jax.Array  # [C]
   activation: Activation
@@ -40,12 +40,12 @@ class Volume(NamedTuple):
 def volume_of(x: jax.Array) -> Volume:
   """An array as it is."""
   c = x.shape[-1]
-  return Volume(x, jnp.ones(c), jnp.zeros(c), IDENTITY)
+  return Volume(x, jnp.ones(c, jnp.float32), jnp.zeros(c, jnp.float32), IDENTITY)
 
 
-def finish(volume: Volume) -> jax.Array:
-  """The array."""
-  return activate(*volume)
+def finish(volume: Volume, *, implementation: str = 'auto') -> jax.Array:
+  """The array; `implementation` is one of dispatch.IMPLEMENTATIONS."""
+  return activate(*volume, implementation=implementation)
 
 
 class Norm(nn.Module):
@@ -55,13 +55,16 @@ class Norm(nn.Module):
   """
 
   activation: Activation
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: jax.Array, bias: jax.Array, train: bool) -> jax.Array:
     scale, offset, mean, variance = _norm_variables(self, x.shape[-1:])
     if not train:
       return affine(x, mean.value - bias, variance.value, scale, offset, self.activation)
-    y, batch_mean, batch_variance = normalize(x, scale, offset, self.activation)
+    y, batch_mean, batch_variance = normalize(
+      x, scale, offset, self.activation, implementation=self.implementation
+    )
     if not self.is_initializing():
       mean.value, variance.value = batch_mean + bias, batch_variance
     return y
@@ -87,84 +90,100 @@ class VolumeNorm(nn.Module):
 def _norm_variables(module: nn.Module, shape):
   """Scale, offset and the running statistics, in `module`'s scope."""
   return (
-    module.param('scale', nn.initializers.ones, shape),
-    module.param('bias', nn.initializers.zeros, shape),
-    module.variable('batch_stats', 'mean', jnp.zeros, shape),
-    module.variable('batch_stats', 'var', jnp.ones, shape),
+    module.param('scale', nn.initializers.ones, shape, jnp.float32),
+    module.param('bias', nn.initializers.zeros, shape, jnp.float32),
+    module.variable('batch_stats', 'mean', jnp.zeros, shape, jnp.float32),
+    module.variable('batch_stats', 'var', jnp.ones, shape, jnp.float32),
   )
 
 
 def _finish(module: nn.Module, x, activation, train):
   """Bias, normalisation and activation, in `module`'s scope."""
-  bias = module.param('bias', nn.initializers.zeros, x.shape[-1:])
-  return Norm(activation, name='norm')(x, bias, train)
+  bias = _bias(module, x)
+  return Norm(activation, module.implementation, name='norm')(x, bias, train)
 
 
 def _finish_volume(module: nn.Module, x, sums, activation, train) -> Volume:
   """The same of a volume."""
-  bias = module.param('bias', nn.initializers.zeros, x.shape[-1:])
-  return VolumeNorm(activation, name='norm')(x, sums, bias, train)
+  return VolumeNorm(activation, name='norm')(x, sums, _bias(module, x), train)
+
+
+def _bias(module: nn.Module, x):
+  return module.param('bias', nn.initializers.zeros, x.shape[-1:], jnp.float32)
+
+
+def _kernel(module: nn.Module, *shape):
+  return module.param('kernel', _glorot, shape, jnp.float32)
 
 
 class Dense(nn.Module):
-  """[B, in] -> [B, features]."""
+  """[..., in] -> [..., features]."""
 
   features: int
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    kernel = self.param('kernel', _glorot, (x.shape[-1], self.features))
+    kernel = _kernel(self, x.shape[-1], self.features)
     return _finish(self, x @ kernel, ELU, train)
 
 
 class Conv2D(nn.Module):
-  """[B, H, W, in] -> [B, H / 2, W / 2, features]."""
+  """[..., H, W, in] -> [..., H / 2, W / 2, features]."""
 
   features: int
   size: int
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    kernel = self.param('kernel', _glorot, (self.size, self.size, x.shape[-1], self.features))
-    return _finish(self, conv2d.conv2d(x, kernel, self.mixed), ELU, train)
+    kernel = _kernel(self, self.size, self.size, x.shape[-1], self.features)
+    y = conv2d.conv2d(x, kernel, mixed=self.mixed, implementation=self.implementation)
+    return _finish(self, y, ELU, train)
 
 
 class Collect(nn.Module):
-  """[B, H, W, in] -> [B, features]: a convolution whose filters cover the whole map."""
+  """[..., H, W, in] -> [..., features]: a convolution whose filters cover the whole map."""
 
   features: int
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
-    kernel = self.param('kernel', _glorot, (*x.shape[1:], self.features))
-    return _finish(self, x.reshape(len(x), -1) @ kernel.reshape(-1, self.features), ELU, train)
+    kernel = _kernel(self, *x.shape[-3:], self.features)
+    x = x.reshape(*x.shape[:-3], -1) @ kernel.reshape(-1, self.features)
+    return _finish(self, x, ELU, train)
 
 
 class Deconv3D(nn.Module):
-  """[B, X, Y, Z, in] -> [B, 2X, 2Y, 2Z, features], of the input's type or another one."""
+  """[..., X, Y, Z, in] -> [..., 2X, 2Y, 2Z, features], of the input's type or another one."""
 
   features: int
   activation: Activation = ELU
   dtype: Any = None
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, volume: Volume, train: bool) -> Volume:
-    kernel = self.param('kernel', _glorot, (3, 3, 3, volume.x.shape[-1], self.features))
+    kernel = _kernel(self, 3, 3, 3, volume.x.shape[-1], self.features)
     *arrays, activation = volume
-    y, sums = deconv.deconv(*arrays, kernel, activation, self.dtype)
+    y, sums = deconv.deconv(
+      *arrays, kernel, activation, dtype=self.dtype, implementation=self.implementation
+    )
     return _finish_volume(self, y, sums, self.activation, train)
 
 
 class Conv3D(nn.Module):
-  """[B, X, Y, Z, in] -> [B, X, Y, Z, features] float32, from 3x3x3 voxels."""
+  """[..., X, Y, Z, in] -> [..., X, Y, Z, features] float32, from 3x3x3 voxels."""
 
   features: int
   activation: Activation = IDENTITY
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, volume: Volume, train: bool) -> Volume:
-    kernel = self.param('kernel', _glorot, (3, 3, 3, volume.x.shape[-1], self.features))
+    kernel = _kernel(self, 3, 3, 3, volume.x.shape[-1], self.features)
     *arrays, activation = volume
-    y, sums = deconv.conv(*arrays, kernel, activation)
+    y, sums = deconv.conv(*arrays, kernel, activation, implementation=self.implementation)
     return _finish_volume(self, y, sums, self.activation, train)

@@ -1,9 +1,10 @@
 """The networks: one encoder and decoder trunk, and the heads that make volumes of it (section 3.4).
 
-Images are [B, H, W, 3] in [0, 1]; volumes [B, X, Y, Z, C]. `apply(variables, image, train=...)`
+Images are [..., H, W, 3] in [0, 1]; volumes [..., X, Y, Z, C]. `apply(variables, image, train=...)`
 uses batch statistics when `train`, else the running ones in `variables['batch_stats']`. Features
 of a `mixed` network's volumes, where nearly all the work is, are bfloat16; parameters, sums,
-statistics and all that comes out are float32.
+statistics and all that comes out are float32. `implementation` chooses the program of every
+layer: 'auto', 'kernels' or 'xla' (cvn/ops/dispatch.py).
 """
 
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from flax import linen as nn
 from cvn.camera import IMAGE_SIZE
 from cvn.grid import GRID_SIZE
 from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
+from cvn.ops import dispatch
 from cvn.ops.normalization import IDENTITY, SIGMOID, Activation
 
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
@@ -27,54 +29,60 @@ JOINT_MEAN, JOINT_SPREAD = -0.475, 0.15
 class ColorVolumes(NamedTuple):
   """What the colour network says of every voxel; all in [0, 1]."""
 
-  regressed: jax.Array  # [B, X, Y, Z, 3] sRGB
-  flow: jax.Array  # [B, X, Y, Z, 2] (u, v)
-  weight: jax.Array  # [B, X, Y, Z, 1] the paper's w: confidence of the sampled colour
+  regressed: jax.Array  # [..., X, Y, Z, 3] sRGB
+  flow: jax.Array  # [..., X, Y, Z, 2] (u, v)
+  weight: jax.Array  # [..., X, Y, Z, 1] the paper's w: confidence of the sampled colour
 
 
 class Encoder(nn.Module):
-  """[B, H, W, 3] -> latent features [B, features], through a code of 512 numbers."""
+  """[..., H, W, 3] -> latent features [..., features], through a code of 512 numbers."""
 
   features: int
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, train: bool) -> jax.Array:
-    x = image
+    x, chosen = image, self.implementation
     for i, (size, channels) in enumerate(ENCODER):
-      x = Conv2D(channels, size, self.mixed, name=f'conv{i}')(x, train)
-    x = Collect(512, name=f'conv{len(ENCODER)}')(x, train)
-    x = Dense(512, name='latent0')(x, train)
-    return Dense(self.features, name='latent1')(x, train)
+      x = Conv2D(channels, size, self.mixed, chosen, name=f'conv{i}')(x, train)
+    x = Collect(512, chosen, name=f'conv{len(ENCODER)}')(x, train)
+    x = Dense(512, chosen, name='latent0')(x, train)
+    return Dense(self.features, chosen, name='latent1')(x, train)
 
 
 class Decoder(nn.Module):
-  """[B, s, s, s, 128] -> [B, 8 s, 8 s, 8 s, 32]."""
+  """[..., s, s, s, 128] -> [..., 8 s, 8 s, 8 s, 32]."""
+
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: Volume, train: bool) -> Volume:
     for i, channels in enumerate(DECODER):
-      x = Deconv3D(channels, name=f'deconv{i}')(x, train)
+      x = Deconv3D(channels, implementation=self.implementation, name=f'deconv{i}')(x, train)
     return x
 
 
 class Trunk(nn.Module):
-  """An image's feature volume at half the grid's size: [B, X/2, Y/2, Z/2, 32]."""
+  """An image's feature volume at half the grid's size: [..., X/2, Y/2, Z/2, 32]."""
 
   image_size: int
   grid_size: int
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, train: bool) -> Volume:
-    if image.ndim != 4 or image.shape[1:] != (self.image_size, self.image_size, 3):
+    if image.shape[-3:] != (self.image_size, self.image_size, 3):
       raise ValueError(
-        f'images must be [B, {self.image_size}, {self.image_size}, 3]: {image.shape}'
+        f'images must be [..., {self.image_size}, {self.image_size}, 3]: {image.shape}'
       )
+    image = dispatch.as_float('images', image)
     s = self.grid_size // 2 ** (len(DECODER) + 1)
-    x = Encoder(s**3 * 128, self.mixed, name='encoder')(image, train)
+    x = Encoder(s**3 * 128, self.mixed, self.implementation, name='encoder')(image, train)
     x = x.astype(jnp.bfloat16 if self.mixed else jnp.float32)
-    return Decoder(name='decoder')(volume_of(x.reshape(-1, s, s, s, 128)), train)
+    volume = volume_of(x.reshape(*x.shape[:-1], s, s, s, 128))
+    return Decoder(self.implementation, name='decoder')(volume, train)
 
 
 class Head(nn.Module):
@@ -83,41 +91,55 @@ class Head(nn.Module):
   hidden: int
   features: int
   activation: Activation = IDENTITY
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, x: Volume, train: bool) -> jax.Array:
-    x = Deconv3D(self.hidden, name='deconv')(x, train)
-    return finish(Conv3D(self.features, self.activation, name='conv')(x, train))
+    chosen = self.implementation
+    x = Deconv3D(self.hidden, implementation=chosen, name='deconv')(x, train)
+    x = Conv3D(self.features, self.activation, chosen, name='conv')(x, train)
+    return finish(x, implementation=chosen)
 
 
 class FlowHead(nn.Module):
   """The flow volume comes from one deconvolution, as in the authors' program."""
 
+  implementation: str = 'auto'
+
   @nn.compact
   def __call__(self, x: Volume, train: bool) -> jax.Array:
-    return finish(Deconv3D(2, SIGMOID, jnp.float32, name='deconv')(x, train))
+    chosen = self.implementation
+    x = Deconv3D(2, SIGMOID, jnp.float32, chosen, name='deconv')(x, train)
+    return finish(x, implementation=chosen)
 
 
-def _color_heads(x: Volume, train: bool) -> ColorVolumes:
+def _color_heads(x: Volume, train: bool, implementation: str) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
-    Head(16, 3, SIGMOID, name='regressed')(x, train),
-    FlowHead(name='flow')(x, train),
-    1 - Head(16, 1, SIGMOID, name='weight')(x, train),
+    Head(16, 3, SIGMOID, implementation, name='regressed')(x, train),
+    FlowHead(implementation, name='flow')(x, train),
+    1 - Head(16, 1, SIGMOID, implementation, name='weight')(x, train),
   )
 
 
+def _trunk(network: nn.Module) -> Trunk:
+  """That of a network, in its scope."""
+  n = network
+  return Trunk(n.image_size, n.grid_size, n.mixed, n.implementation, name='trunk')
+
+
 class ShapeNetwork(nn.Module):
-  """Image -> occupancy logits [B, X, Y, Z, 1]."""
+  """Image -> occupancy logits [..., X, Y, Z, 1]."""
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 1, name='head')(x, train)
+    x = _trunk(self)(image, train)
+    return Head(24, 1, IDENTITY, self.implementation, name='head')(x, train)
 
 
 class ColorNetwork(nn.Module):
@@ -126,37 +148,40 @@ class ColorNetwork(nn.Module):
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> ColorVolumes:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return _color_heads(x, train)
+    x = _trunk(self)(image, train)
+    return _color_heads(x, train, self.implementation)
 
 
 class RegressionNetwork(nn.Module):
-  """The colour regression model (section 4.1): colours [B, X, Y, Z, 3] in [0, 1], and no others."""
+  """The colour regression model (section 4.1): colours [..., X, Y, Z, 3] in [0, 1] alone."""
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(16, 3, SIGMOID, name='regressed')(x, train)
+    x = _trunk(self)(image, train)
+    return Head(16, 3, SIGMOID, self.implementation, name='regressed')(x, train)
 
 
 class FlowNetwork(nn.Module):
-  """The flow model (section 4.1): (u, v) [B, X, Y, Z, 2] in [0, 1], and no colours."""
+  """The flow model (section 4.1): (u, v) [..., X, Y, Z, 2] in [0, 1], and no colours."""
 
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return FlowHead(name='flow')(x, train)
+    x = _trunk(self)(image, train)
+    return FlowHead(self.implementation, name='flow')(x, train)
 
 
 class JointNetwork(nn.Module):
@@ -165,15 +190,17 @@ class JointNetwork(nn.Module):
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> tuple[jax.Array, ColorVolumes]:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return Head(24, 1, name='head')(x, train), _color_heads(x, train)
+    x = _trunk(self)(image, train)
+    logits = Head(24, 1, IDENTITY, self.implementation, name='head')(x, train)
+    return logits, _color_heads(x, train, self.implementation)
 
 
 class AdaptedR2N2(nn.Module):
-  """The baseline: one volume [B, X, Y, Z, 3] of shape and colour jointly; empty is -0.5.
+  """The baseline: one volume [..., X, Y, Z, 3] of shape and colour jointly; empty is -0.5.
 
   3D-R2N2 without recurrence and with one more upsampling layer (section 4, competing methods), on
   this framework's own trunk: 'all other training settings are kept constant'. A normalised output
@@ -184,11 +211,13 @@ class AdaptedR2N2(nn.Module):
   image_size: int = IMAGE_SIZE
   grid_size: int = GRID_SIZE
   mixed: bool = False
+  implementation: str = 'auto'
 
   @nn.compact
   def __call__(self, image: jax.Array, *, train: bool) -> jax.Array:
-    x = Trunk(self.image_size, self.grid_size, self.mixed, name='trunk')(image, train)
-    return JOINT_MEAN + JOINT_SPREAD * Head(24, 3, name='head')(x, train)
+    x = _trunk(self)(image, train)
+    normal = Head(24, 3, IDENTITY, self.implementation, name='head')(x, train)
+    return JOINT_MEAN + JOINT_SPREAD * normal
 
 
 NETWORKS = {

@@ -46,7 +46,12 @@ def create_state(key: jax.Array, kind: str) -> TrainState:
 
 
 def make_step(
-  kind: str, recipe: Recipe, *, samples: float = math.inf, mixed: bool = False
+  kind: str,
+  recipe: Recipe,
+  *,
+  samples: float = math.inf,
+  mixed: bool = False,
+  implementation: str = 'auto',
 ) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
   """One optimisation step, compiled; the state that goes in is donated.
 
@@ -55,12 +60,13 @@ def make_step(
     recipe: loss, schedules, penalty.
     samples: of the whole training, for schedules that end with it.
     mixed: whether products are of bfloat16 numbers.
+    implementation: of the network's layers, see cvn/ops/dispatch.py.
 
   Returns:
     step(state, batch) -> (state, metrics): scalars, the loss before the step among them.
   """
 
-  network = NETWORKS[kind].clone(mixed=mixed)
+  network = NETWORKS[kind].clone(mixed=mixed, implementation=implementation)
 
   def objective(params, batch_stats, batch):
     return _objective(params, batch_stats, batch, network, kind, recipe, True)

@@ -1,5 +1,7 @@
 """The encoder's convolution against the library's: values and gradients."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,7 @@ SHAPES = [
   ((3, 10, 6, 20), 5, 48),
   ((2, 8, 70, 64), 5, 64),
   ((1, 36, 4, 16), 4, 16),
-  ((2, 6, 6, 3), 3, 5),  # the kernels do not take 5 channels
+  ((2, 6, 6, 3), 3, 5),  # the kernels do not take 5 channels, 'auto' does
 ]
 
 
@@ -33,10 +35,12 @@ def make(shape, size, out):
   return x, kernel, draw(rng, *conv2d.library_conv2d(x, kernel).shape)
 
 
+@pytest.mark.parametrize('implementation', ['auto', 'xla'])
 @pytest.mark.parametrize(('shape', 'size', 'out'), SHAPES)
-def test_value_and_gradients(shape, size, out):
+def test_value_and_gradients(shape, size, out, implementation):
   arguments = make(shape, size, out)
-  got = jax.jit(lambda *a: value_and_gradients(conv2d.conv2d, *a))(*arguments)
+  ours = functools.partial(conv2d.conv2d, implementation=implementation)
+  got = jax.jit(lambda *a: value_and_gradients(ours, *a))(*arguments)
   expected = value_and_gradients(conv2d.library_conv2d, *arguments)
   for a, b in zip(got, expected, strict=True):
     np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5 * float(jnp.abs(b).max()))
@@ -45,9 +49,8 @@ def test_value_and_gradients(shape, size, out):
 @pytest.mark.parametrize(('shape', 'size', 'out'), SHAPES)
 def test_mixed_precision_rounds_factors_at_most(shape, size, out):
   arguments = make(shape, size, out)
-  got = jax.jit(lambda *a: value_and_gradients(lambda x, k: conv2d.conv2d(x, k, True), *a))(
-    *arguments
-  )
+  ours = functools.partial(conv2d.conv2d, mixed=True)
+  got = jax.jit(lambda *a: value_and_gradients(ours, *a))(*arguments)
   expected = value_and_gradients(conv2d.library_conv2d, *arguments)
   for a, b in zip(got, expected, strict=True):
     assert a.dtype == jnp.float32
@@ -66,7 +69,8 @@ def test_a_gradient_that_nobody_needs_is_not_made():
 @pytest.mark.parametrize('mixed', [False, True])
 def test_accelerators_get_the_library(mixed):
   x, kernel, dy = make((2, 8, 8, 3), 3, 16)
-  step = jax.jit(lambda *a: value_and_gradients(lambda x, k: conv2d.conv2d(x, k, mixed), *a))
+  ours = functools.partial(conv2d.conv2d, mixed=mixed)
+  step = jax.jit(lambda *a: value_and_gradients(ours, *a))
   for platform in ('cuda', 'tpu'):
     module = jax.export.export(step, platforms=[platform])(x, kernel, dy).mlir_module()
     assert module.count('stablehlo.convolution') == 3 and 'cvn_' not in module

@@ -286,3 +286,29 @@ def test_devices_take_their_own_samples():
   program = step.lower(*spread).compile().as_text()
   assert set(re.findall('cvn_[a-z0-9_]+', program)) == set(native.KERNELS)
   assert 'all-reduce' in program and 'all-gather' not in program
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason='no C++ compiler here')
+def test_the_cache_of_compiled_programs_knows_those_of_several_devices(tmp_path):
+  code = (
+    'import jax, jax.numpy as jnp; from jax.sharding import *; from cvn import layers;'
+    'hits = []; jax.monitoring.register_event_listener(lambda name, **_: hits.append(name));'
+    "mesh = jax.make_mesh((2,), ('batch',), (AxisType.Auto,));"
+    'x = jax.device_put(jnp.ones((4, 1, 1, 1, 2)), NamedSharding(mesh, PartitionSpec("batch")));'
+    'run = jax.jit(lambda x: layers.finish(layers.volume_of(x))).lower(x).compile();'
+    'assert "cvn_activated" in run.as_text() and "all-gather" not in run.as_text();'
+    'print(hits.count("/jax/compilation_cache/cache_hits"))'
+  )
+  environment = os.environ | {
+    'JAX_NUM_CPU_DEVICES': '2',
+    'JAX_COMPILATION_CACHE_DIR': str(tmp_path),
+    'JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS': '0',
+    'JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES': '-1',
+  }
+  command = [sys.executable, '-c', code]
+  first, second = (
+    subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    for _ in range(2)
+  )
+  assert first.returncode == second.returncode == 0, first.stderr + second.stderr
+  assert int(first.stdout) == 0 and int(second.stdout) > 0

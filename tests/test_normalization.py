@@ -28,26 +28,30 @@ def draw(*shape):
   return x, scale, offset
 
 
-@pytest.fixture(params=['kernels', 'loops'])
-def program(request, monkeypatch):
-  """Volumes on a CPU have two programs."""
+@pytest.fixture(params=['kernels', 'loops', 'xla'])
+def implementation(request, monkeypatch):
+  """Volumes on a CPU have two programs; 'xla' is the second with JAX's derivative."""
   if request.param == 'kernels' and not native.available():
     pytest.skip('no C++ compiler here')
-  monkeypatch.setattr(native, 'available', lambda: request.param == 'kernels')
+  if request.param == 'loops':
+    monkeypatch.setattr(native, 'wins', lambda *_, **__: False)
+    return 'auto'
   return request.param
 
 
 @pytest.mark.parametrize('activation', PLAIN)
 @pytest.mark.parametrize('channels', [1, 3, 16, 24, 5])
 @pytest.mark.parametrize('dtype', [jnp.float32, jnp.bfloat16])
-def test_activated_volumes(program, activation, channels, dtype):
+def test_activated_volumes(implementation, activation, channels, dtype):
   x, gain, offset = draw(2, 3, 4, 5, channels)
   x = x.astype(dtype)
   cotangent = np.random.default_rng(1).standard_normal(x.shape, np.float32).astype(dtype)
 
   @jax.jit
   def ours(*arguments):
-    out, pull = jax.vjp(lambda *a: normalization.activate(*a, activation), *arguments)
+    out, pull = jax.vjp(
+      lambda *a: normalization.activate(*a, activation, implementation=implementation), *arguments
+    )
     return out, *pull(cotangent)
 
   def expected(x, gain, offset):
@@ -71,11 +75,14 @@ def test_a_volume_is_normalised_from_its_sums():
   np.testing.assert_allclose(got, plain(x, scale, offset, ELU), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize('implementation', ['auto', 'xla'])
 @pytest.mark.parametrize('activation', PLAIN)
 @pytest.mark.parametrize('shape', [(7, 5), (2, 3, 4, 6), (2, 2, 2, 2, 2, 2, 2, 3)])
-def test_value_and_gradients(activation, shape):
+def test_value_and_gradients(activation, shape, implementation):
   x, scale, offset = draw(*shape)
-  ours = jax.jit(lambda *a: normalization.normalize(*a, activation)[0])
+  ours = jax.jit(
+    lambda *a: normalization.normalize(*a, activation, implementation=implementation)[0]
+  )
   out, pullback = jax.vjp(ours, x, scale, offset)
   expected, expected_pullback = jax.vjp(lambda *a: plain(*a, activation), x, scale, offset)
   np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-5)

@@ -1,8 +1,8 @@
-"""The encoder's convolution of stride 2: [B, H, W, in] -> [B, H / 2, W / 2, out], SAME padding.
+"""The encoder's convolution of stride 2: [..., H, W, in] -> [..., H / 2, W / 2, out], SAME padding.
 
 On a CPU the compiled kernels (native.py) compute it if they are available and take its shape: XLA's
-gradients are several times slower there. Everywhere else XLA computes it. The choice is made when
-the function is lowered.
+gradients are several times slower there. XLA's convolution is the plain program on every platform.
+`implementation` chooses (dispatch.py).
 """
 
 import functools
@@ -12,74 +12,97 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cvn.ops import dispatch, native
+from cvn.ops import dispatch
+from cvn.ops.derivatives import with_derivatives
 
-_LANES = 16  # numbers in a vector of kernels/common.h
+_CHANNELS = 16  # the kernels take multiples
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def conv2d(x: jax.Array, kernel: jax.Array, mixed: bool = False) -> jax.Array:
-  """[B, H, W, in], [size, size, in, out] -> [B, H / 2, W / 2, out], all float32.
+def conv2d(
+  x: jax.Array, kernel: jax.Array, *, mixed: bool = False, implementation: str = 'auto'
+) -> jax.Array:
+  """[..., H, W, in], [size, size, in, out] -> [..., H / 2, W / 2, out] float32.
 
   Args:
-    x: H and W are even.
+    x: H and W are even. Other floating types than float32 are cast, also those of `kernel`.
     kernel: of the size 2 or more.
     mixed: whether factors of products may be rounded to bfloat16, where that is faster.
+    implementation: one of dispatch.IMPLEMENTATIONS.
+
+  Raises:
+    ValueError: shapes do not fit, or the implementation is unknown.
+    TypeError: an array does not have floating-point numbers.
+    RuntimeError: there are no compiled kernels, which `implementation` asks for.
   """
-
-  def kernels(x, kernel):
-    b, h, w, _ = x.shape
-    y = jax.ShapeDtypeStruct((b, h // 2, w // 2, kernel.shape[-1]), jnp.float32)
-    return dispatch.call('cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))[0]
-
-  return _by_platform(kernels, library_conv2d, kernel.shape, x, kernel)
+  dispatch.check(implementation)
+  shape, taps = np.shape(x), np.shape(kernel)
+  if len(shape) < 3 or len(taps) != 4 or taps[2] != shape[-1] or shape[-3] % 2 or shape[-2] % 2:
+    raise ValueError(
+      f'conv2d takes x [..., H, W, in], H and W even, and a kernel [size, size, in, out]:'
+      f' {shape}, {taps}'
+    )
+  x, kernel = dispatch.alike(
+    dispatch.as_float('conv2d: x', x).reshape(-1, *shape[-3:]),
+    dispatch.as_float('conv2d: kernel', kernel),
+  )
+  if implementation == 'xla':
+    y = library_conv2d(x, kernel)
+  else:
+    out = taps[-1]
+    choose = functools.partial(
+      dispatch.choose,
+      'conv2d',
+      implementation=implementation,
+      mixed=mixed,
+      misfit=f'out of conv2d is no multiple of {_CHANNELS}: {out}' if out % _CHANNELS else '',
+    )
+    (y,) = with_derivatives(
+      lambda *arrays: choose(functools.partial(_kernel, mixed), _plain, *arrays),
+      functools.partial(_gradient, choose, mixed),
+      plain_value=_plain,
+      plain_gradient=_plain_gradient,
+    )(x, kernel)
+  return y.reshape(*shape[:-3], *y.shape[1:])
 
 
 def library_conv2d(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """The same as the library has it."""
+  """The same as XLA has it."""
   return lax.conv_general_dilated(
     x, kernel, (2, 2), 'SAME', dimension_numbers=('NHWC', 'HWIO', 'NHWC')
   )
 
 
-def _forward(x, kernel, mixed):
-  return conv2d(x, kernel, mixed), (x, kernel)
+def _kernel(mixed, x, kernel):
+  b, h, w, _ = x.shape
+  y = jax.ShapeDtypeStruct((b, h // 2, w // 2, kernel.shape[-1]), jnp.float32)
+  return dispatch.call('cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))
 
 
-def _backward(mixed, residuals, dy):
-  x, kernel = residuals
-  flag = np.bool_(mixed)
+def _gradient(choose, mixed, arrays, _, cotangents):
+  """Those of x and kernel, each a call of its own: one that nobody needs is not made."""
 
-  def input_kernel(dy, kernel):
+  def of_x(x, kernel, dy):
     dx = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return dispatch.call('cvn_conv2d_input_gradient', [dx], dy, kernel, mixed=flag)[0]
+    return dispatch.call('cvn_conv2d_input_gradient', [dx], dy, kernel, mixed=np.bool_(mixed))[0]
 
-  def input_library(dy, kernel):
-    return jax.vjp(lambda x: library_conv2d(x, kernel), jnp.zeros_like(x))[1](dy)[0]
-
-  def kernel_kernel(x, dy):
+  def of_kernel(x, kernel, dy):
     terms = jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)
     name = 'cvn_conv2d_kernel_gradient'
-    return dispatch.sum_samples(dispatch.call(name, [terms], x, dy, volumes=(0, 1), mixed=flag)[0])
+    found = dispatch.call(name, [terms], x, dy, volumes=(0, 1), mixed=np.bool_(mixed))
+    return dispatch.sum_samples(found[0])
 
-  def kernel_library(x, dy):
-    return jax.vjp(lambda k: library_conv2d(x, k), jnp.zeros_like(kernel))[1](dy)[0]
+  def plain(number, *operands):
+    return _plain_gradient(operands[:2], None, operands[2:])[number]
 
-  # Apart, so that a gradient that nobody needs is not made.
-  return (
-    _by_platform(input_kernel, input_library, kernel.shape, dy, kernel),
-    _by_platform(kernel_kernel, kernel_library, kernel.shape, x, dy),
+  return tuple(
+    choose(program, functools.partial(plain, number), *arrays, *cotangents)
+    for number, program in enumerate((of_x, of_kernel))
   )
 
 
-conv2d.defvjp(_forward, _backward)
+def _plain(x, kernel):
+  return (library_conv2d(x, kernel),)
 
 
-def _by_platform(kernels, library, shape, *arrays):
-  """Calls one of two programs for the same thing, for a kernel of that shape."""
-
-  def on_cpu(*arrays):
-    fits = shape[-1] % _LANES == 0
-    return (kernels if fits and native.available() else library)(*arrays)
-
-  return lax.platform_dependent(*arrays, cpu=on_cpu, default=library)
+def _plain_gradient(arrays, _, cotangents):
+  return jax.vjp(library_conv2d, *arrays)[1](*cotangents)

@@ -1,78 +1,96 @@
 """The decoder's stride-2 3x3x3 transposed convolution and the heads' 3x3x3 convolution.
 
-Volumes are [B, X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += a[j] w[t] for
-the deconvolution and y[v] += a[v + t - 1] w[t] for the convolution: SAME padding of the authors'
-framework. Volumes are large, and memory is what a processor waits for: so a volume is kept as the
-product before it left it, x, and both read it as a = activation(gain x + offset), which is the
-batch normalisation in between. They also return the sums that the next one needs.
+Volumes are [..., X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += a[j] w[t]
+for the deconvolution and y[v] += a[v + t - 1] w[t] for the convolution: SAME padding of the
+authors' framework. Volumes are large, and memory is what a processor waits for: so a volume is kept
+as the product before it left it, x, and both read it as a = activation(gain x + offset), which is
+the batch normalisation in between. They also return the sums that the next one needs.
 
-Which program computes them is decided when the function is lowered: on a CPU the compiled kernels
-(native.py) or, where these are missing, matrix products (matmul.py); elsewhere the
-library's convolution. Derivatives are those of the same program.
+`implementation` chooses the program (dispatch.py). In the plain one, the product is of matrices on
+a CPU (matmul.py) and XLA's convolution elsewhere.
 
-Kernels are float32, and so is every sum. Where the input is bfloat16, so are all factors of
-products; results and gradients of volumes have the type of the volume.
+Products have float32 factors and sums. If the volume is bfloat16, the factors are too, and results
+and gradients of volumes have the type of the volume. Volumes of other floating types are cast to
+float32, and so are gain, offset and kernel; every gradient has the type of what was given.
 """
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from cvn.ops import dispatch, matmul, native
+from cvn.ops import dispatch, matmul
+from cvn.ops.derivatives import with_derivatives
 from cvn.ops.normalization import Activation, activated
 
 _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(4, 5))
 def deconv(
   x: jax.Array,
   gain: jax.Array,
   offset: jax.Array,
   kernel: jax.Array,
   activation: Activation,
-  dtype=None,
+  *,
+  dtype: Any = None,
+  implementation: str = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
   """Stride-2 transposed convolution of activation(gain x + offset).
 
   Args:
-    x: [B, X, Y, Z, in] float32 or bfloat16.
+    x: [..., X, Y, Z, in].
     gain, offset: [in].
-    kernel: [3, 3, 3, in, out] float32.
+    kernel: [3, 3, 3, in, out].
     activation: before the product.
-    dtype: of the result; None for that of `x`.
+    dtype: of the result, float32 or bfloat16; None for that of `x`.
+    implementation: one of dispatch.IMPLEMENTATIONS.
 
   Returns:
-    (y [B, 2X, 2Y, 2Z, out], sums [2, out] of y and of its square).
+    (y [..., 2X, 2Y, 2Z, out], sums [2, out] of y and of its square).
+
+  Raises:
+    ValueError: shapes do not fit, or the implementation is unknown.
+    TypeError: an array does not have floating-point numbers, or `dtype` is another type.
+    RuntimeError: there are no compiled kernels, which `implementation` asks for.
   """
-  shape = (len(x), *(2 * s for s in x.shape[1:4]), kernel.shape[-1])
-  y = jax.ShapeDtypeStruct(shape, dtype or x.dtype)
-  return _forward('deconv', y, x, gain, offset, kernel, activation)
+  return _run('deconv', x, gain, offset, kernel, activation, dtype, implementation)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(4,))
 def conv(
-  x: jax.Array, gain: jax.Array, offset: jax.Array, kernel: jax.Array, activation: Activation
+  x: jax.Array,
+  gain: jax.Array,
+  offset: jax.Array,
+  kernel: jax.Array,
+  activation: Activation,
+  *,
+  implementation: str = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
   """Convolution of activation(gain x + offset), with zeros around it.
 
   Args:
-    x: [B, X, Y, Z, in] float32 or bfloat16.
+    x: [..., X, Y, Z, in].
     gain, offset: [in].
-    kernel: [3, 3, 3, in, out] float32.
+    kernel: [3, 3, 3, in, out].
     activation: before the product.
+    implementation: one of dispatch.IMPLEMENTATIONS.
 
   Returns:
-    (y [B, X, Y, Z, out] float32, sums [2, out] of y and of its square).
+    (y [..., X, Y, Z, out] float32, sums [2, out] of y and of its square).
+
+  Raises:
+    ValueError: shapes do not fit, or the implementation is unknown.
+    TypeError: an array does not have floating-point numbers.
+    RuntimeError: there are no compiled kernels, which `implementation` asks for.
   """
-  y = jax.ShapeDtypeStruct((*x.shape[:-1], kernel.shape[-1]), jnp.float32)
-  return _forward('conv', y, x, gain, offset, kernel, activation)
+  return _run('conv', x, gain, offset, kernel, activation, jnp.float32, implementation)
 
 
 def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """The product as the library has it: dilated input, correlated with the flipped kernel."""
+  """The product as XLA has it: dilated input, correlated with the flipped kernel."""
   return lax.conv_general_dilated(
     x,
     kernel[::-1, ::-1, ::-1],
@@ -84,118 +102,120 @@ def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
 
 
 def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """The product as the library has it."""
+  """The product as XLA has it."""
   return lax.conv_general_dilated(x, kernel, (1, 1, 1), 'SAME', dimension_numbers=_DIMENSIONS)
-
-
-def _deconv_forward(x, gain, offset, kernel, activation, dtype):
-  y, sums = deconv(x, gain, offset, kernel, activation, dtype)
-  return (y, sums), (x, gain, offset, kernel, y)
-
-
-def _deconv_backward(activation, dtype, residuals, cotangents):
-  del dtype
-  *inputs, y = residuals
-  return _gradients('deconv', activation, inputs, y, cotangents)
-
-
-def _conv_forward(x, gain, offset, kernel, activation):
-  y, sums = conv(x, gain, offset, kernel, activation)
-  return (y, sums), (x, gain, offset, kernel, y)
-
-
-def _conv_backward(activation, residuals, cotangents):
-  *inputs, y = residuals
-  return _gradients('conv', activation, inputs, y, cotangents)
-
-
-deconv.defvjp(_deconv_forward, _deconv_backward)
-conv.defvjp(_conv_forward, _conv_backward)
 
 
 _LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
 _PRODUCTS = {'deconv': matmul.deconv, 'conv': matmul.conv}
 
 
-def _forward(name, y, *arguments):
-  """(y, sums) of one of three programs; `y` tells its shape and type."""
-  *arrays, activation = arguments
-
-  def kernels(x, gain, offset, kernel):
-    results = [y, jax.ShapeDtypeStruct((len(x), 2, y.shape[-1]), jnp.float32)]
-    out, sums = dispatch.call(
-      f'cvn_{name}', results, x, gain, offset, kernel, activation=activation.number
+def _run(name, x, gain, offset, kernel, activation, dtype, implementation):
+  """(y, sums) of one of two programs, after the checks at the door."""
+  dispatch.check(implementation)
+  shapes = np.shape(x), np.shape(gain), np.shape(offset), np.shape(kernel)
+  cin = shapes[0][-1:]
+  if len(shapes[0]) < 4 or shapes[1:3] != (cin, cin) or shapes[3][:4] != (3, 3, 3, *cin):
+    raise ValueError(
+      f'{name} takes x [..., X, Y, Z, in], gain and offset [in] and a kernel [3, 3, 3, in, out]:'
+      f' {", ".join(map(str, shapes))}'
     )
-    return out, sums.sum(0)
+  x = dispatch.as_float(f'{name}: x', x, dispatch.VOLUMES)
+  dtype = jnp.dtype(dtype or x.dtype)
+  if dtype not in dispatch.VOLUMES:
+    raise TypeError(f'{name}: the result can be float32 or bfloat16: {dtype}')
+  rest = [
+    dispatch.as_float(f'{name}: {what}', v)
+    for what, v in (('gain', gain), ('offset', offset), ('kernel', kernel))
+  ]
+  arrays = dispatch.alike(x.reshape(-1, *x.shape[-4:]), *rest)
 
-  def of(product):
-    def composed(x, gain, offset, kernel):
-      kernel = _factor(kernel, x, product)
-      out = product(activated(x, gain, offset, activation), kernel).astype(y.dtype)
-      wide, axes = out.astype(jnp.float32), (0, 1, 2, 3)
-      return out, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
-
-    return composed
-
-  return by_platform(kernels, *map(of, _plain_programs(name)), *arrays)
-
-
-def _gradients(name, activation, inputs, y, cotangents):
-  """Those of x, gain, offset and kernel, of one of three programs."""
-
-  def kernels(x, gain, offset, kernel, y, dy, dsums):
-    taps, (cin, cout) = kernel.shape[:3], kernel.shape[3:]
-    order = {'deconv': (*taps, cin, cout), 'conv': (cout, *taps, cin)}[name]
-    results = [
-      jax.ShapeDtypeStruct(x.shape, x.dtype),
-      jax.ShapeDtypeStruct((len(x), 2, cin), jnp.float32),
-      jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
-    ]
-    dx, dcoefficients, dkernel = dispatch.call(
-      f'cvn_{name}_gradient', results, x, gain, offset, kernel, y, dy, dsums,
-      volumes=(0, 4, 5), activation=activation.number,
-    )  # fmt: skip
-    doffset, dgain = dcoefficients.sum(0)
-    dkernel = dispatch.sum_samples(dkernel)
-    return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
-
-  def of(product):
-    def composed(x, gain, offset, kernel, y, dy, dsums):
-      first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
-      dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
-
-      def value(x, gain, offset, kernel):
-        return product(activated(x, gain, offset, activation), kernel)
-
-      kernel = _factor(kernel, x, product)
-      out, pull = jax.vjp(value, x, gain, offset, kernel)
-      *gradients, dkernel = pull(dy.astype(x.dtype).astype(out.dtype))
-      return *gradients, dkernel.astype(jnp.float32)
-
-    return composed
-
-  return by_platform(kernels, *map(of, _plain_programs(name)), *inputs, y, *cotangents)
+  plain = functools.partial(_plain, name, activation, dtype)
+  if implementation == 'xla':
+    y, sums = plain(*arrays)
+  else:
+    choose = functools.partial(
+      dispatch.choose, name, implementation=implementation, mixed=x.dtype == jnp.bfloat16
+    )
+    plain_gradient = functools.partial(_plain_gradient, name, activation)
+    y, sums = with_derivatives(
+      lambda *arrays: choose(functools.partial(_kernel, name, activation, dtype), plain, *arrays),
+      lambda *groups: choose(
+        functools.partial(_kernel_gradient, name, activation), plain_gradient, *groups
+      ),
+      plain_value=plain,
+      plain_gradient=plain_gradient,
+    )(*arrays)
+  return y.reshape(*x.shape[:-4], *y.shape[1:]), sums
 
 
-def _plain_programs(name):
-  """Two products f(a, kernel): of matrices, in float32, and the library's, in the type of a."""
+def _kernel(name, activation, dtype, x, gain, offset, kernel):
+  """(y, sums) of the compiled kernel."""
+  b, *size, _ = x.shape
+  factor, cout = 2 if name == 'deconv' else 1, kernel.shape[-1]
+  results = [
+    jax.ShapeDtypeStruct((b, *(factor * s for s in size), cout), dtype),
+    jax.ShapeDtypeStruct((b, 2, cout), jnp.float32),
+  ]
+  y, sums = dispatch.call(
+    f'cvn_{name}', results, x, gain, offset, kernel, activation=activation.number
+  )
+  return y, sums.sum(0)
 
-  def products(a, kernel):
-    return _PRODUCTS[name](a.astype(jnp.float32), kernel)
 
-  return products, _LIBRARY[name]
+def _kernel_gradient(name, activation, arrays, results, cotangents):
+  """Those of x, gain, offset and kernel, of the compiled kernel."""
+  (x, gain, offset, kernel), (y, _), (dy, dsums) = arrays, results, cotangents
+  taps, (cin, cout) = kernel.shape[:3], kernel.shape[3:]
+  order = {'deconv': (*taps, cin, cout), 'conv': (cout, *taps, cin)}[name]
+  found = [
+    jax.ShapeDtypeStruct(x.shape, x.dtype),
+    jax.ShapeDtypeStruct((len(x), 2, cin), jnp.float32),
+    jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
+  ]
+  dx, dcoefficients, dkernel = dispatch.call(
+    f'cvn_{name}_gradient', found, x, gain, offset, kernel, y, dy, dsums,
+    volumes=(0, 4, 5), activation=activation.number,
+  )  # fmt: skip
+  doffset, dgain = dcoefficients.sum(0)
+  dkernel = dispatch.sum_samples(dkernel)
+  return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
 
-def _factor(kernel, x, product):
-  """The kernel as a factor of a product with x: no more digits than x has."""
-  kernel = kernel.astype(x.dtype)
-  return kernel if product in _LIBRARY.values() else kernel.astype(jnp.float32)
+def _plain(name, activation, dtype, x, gain, offset, kernel):
+  """(y, sums) of plain operations."""
+  y = _product(name, dtype, activated(x, gain, offset, activation), _rounded(kernel, x))
+  wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
+  return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
 
 
-def by_platform(kernels, products, library, *arrays):
-  """Calls one of three programs for the same thing, whose choice is made when it is lowered."""
+def _plain_gradient(name, activation, arrays, results, cotangents):
+  """Those of x, gain, offset and kernel. Makes the activations again, so that none are kept."""
+  (y, _), (dy, dsums) = results, cotangents
+  first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
+  dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
 
-  def on_cpu(*arrays):
-    return (kernels if native.available() else products)(*arrays)
+  def value(x, gain, offset, kernel):
+    return _product(name, y.dtype, activated(x, gain, offset, activation), kernel)
 
-  return lax.platform_dependent(*arrays, cpu=on_cpu, default=library)
+  # The cotangent is a factor of products too.
+  x, *rest, kernel = arrays
+  _, pull = jax.vjp(value, x, *rest, _rounded(kernel, x))
+  return pull(dy.astype(x.dtype).astype(y.dtype))
+
+
+def _rounded(kernel, x):
+  """The kernel as a factor of products with x: no more digits than x has."""
+  return kernel.astype(x.dtype).astype(jnp.float32)
+
+
+def _product(name, dtype, a, kernel):
+  """The product of a and a kernel that is rounded as a is; the result has that type."""
+
+  def of_matrices(a, kernel):
+    return _PRODUCTS[name](a.astype(jnp.float32), kernel).astype(dtype)
+
+  def of_library(a, kernel):
+    return _LIBRARY[name](a, kernel.astype(a.dtype)).astype(dtype)
+
+  return dispatch.product(of_matrices, of_library, a, kernel)

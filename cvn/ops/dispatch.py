@@ -1,14 +1,129 @@
-"""Calls of the compiled kernels from JAX, one device or several."""
+"""Which program computes an operation, and how a compiled kernel is called from JAX.
 
-import itertools
-from collections.abc import Sequence
+`implementation` is an argument of every operation and every network:
+
+  'auto'     on a CPU the compiled kernels (native.py) if this machine has them and they win,
+             otherwise plain operations; derivatives that no kernel computes are those of the plain
+             operations
+  'kernels'  the compiled kernels, or an error
+  'xla'      plain JAX operations and their derivatives: on a CPU matrix products (matmul.py), and
+             XLA's convolution elsewhere
+
+The platform is known when a function is lowered, and the choice is made then.
+"""
+
+import contextlib
+import contextvars
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.experimental.custom_partitioning import custom_partitioning
-from jax.sharding import NamedSharding, PartitionSpec
+from jax import lax
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from cvn.ops import native
+
+IMPLEMENTATIONS = ('auto', 'kernels', 'xla')
+VOLUMES = (jnp.float32, jnp.bfloat16)  # types that volumes may have
+
+_convolutions = contextvars.ContextVar('convolutions', default=False)
+
+
+def check(implementation: str) -> None:
+  """Refuses an unknown implementation.
+
+  Raises:
+    ValueError: it is none of `IMPLEMENTATIONS`.
+  """
+  if implementation not in IMPLEMENTATIONS:
+    raise ValueError(f'implementation must be one of {IMPLEMENTATIONS}: {implementation!r}')
+
+
+def choose(
+  operation: str,
+  kernel: Callable,
+  plain: Callable,
+  *arrays: Any,
+  implementation: str,
+  mixed: bool,
+  misfit: str = '',
+) -> Any:
+  """Calls one of two programs of an operation; 'xla' has no kernel to choose.
+
+  Args:
+    operation: 'deconv', 'conv', 'conv2d' or 'activated'.
+    kernel: for a CPU.
+    plain: for every platform.
+    *arrays: arguments of both.
+    implementation: 'auto' or 'kernels'.
+    mixed: whether factors of products are bfloat16.
+    misfit: why the kernel does not take these shapes, if it does not.
+
+  Raises:
+    RuntimeError: 'kernels' are asked for, and this process has none.
+    ValueError: 'kernels' are asked for, and the shapes do not fit.
+  """
+  if implementation == 'kernels':
+    if not native.available():
+      raise RuntimeError(
+        f"implementation='kernels': no compiled kernels ({native.missing()}); 'auto' and 'xla' do"
+        ' without'
+      )
+    if misfit:
+      raise ValueError(f"implementation='kernels': {misfit}; 'auto' and 'xla' take it")
+    return lax.platform_dependent(*arrays, cpu=kernel)
+  if misfit or not native.wins(operation, mixed=mixed):
+    return plain(*arrays)
+  return lax.platform_dependent(*arrays, cpu=kernel, default=plain)
+
+
+def product(on_cpu: Callable, elsewhere: Callable, *arrays: Any) -> jax.Array:
+  """Calls one of two plain programs of a product: matrix products on a CPU, or a convolution."""
+  if _convolutions.get():
+    return elsewhere(*arrays)
+  return lax.platform_dependent(*arrays, cpu=on_cpu, default=elsewhere)
+
+
+@contextlib.contextmanager
+def convolutions_everywhere() -> Iterator[None]:
+  """Makes `product` take XLA's convolution on a CPU too, which benchmarks compare with.
+
+  It holds for what is traced within it; a function that was traced before keeps its choice.
+  """
+  token = _convolutions.set(True)
+  try:
+    yield
+  finally:
+    _convolutions.reset(token)
+
+
+def as_float(name: str, x: jax.Array, allowed: Sequence[Any] = VOLUMES[:1]) -> jax.Array:
+  """x if its type is one of those allowed, else as float32; refuses what is no real number.
+
+  Gradients of what was cast have its own type.
+
+  Args:
+    name: of x, for the message.
+    x: an array.
+    allowed: the types that stay.
+
+  Raises:
+    TypeError: x has integers, booleans or complex numbers.
+  """
+  x = jnp.asarray(x)
+  if not jnp.issubdtype(x.dtype, jnp.floating):
+    raise TypeError(
+      f'{name} must be float32 or bfloat16 (other floating types are cast to float32): {x.dtype}'
+    )
+  return x if x.dtype in allowed else x.astype(jnp.float32)
+
+
+def alike(*arrays: jax.Array) -> list[jax.Array]:
+  """The arrays as a kernel needs them within `jax.shard_map`: all vary over the same axes."""
+  axes = frozenset().union(*(jax.typeof(x).mat.varying for x in arrays))
+  return [lax.pcast(x, tuple(axes - jax.typeof(x).mat.varying), to='varying') for x in arrays]
 
 
 def call(
@@ -17,56 +132,107 @@ def call(
   *arrays: jax.Array,
   volumes: Sequence[int] = (0,),
   in_place: int | None = None,
-  **attributes,
-) -> Sequence[jax.Array]:
-  """Calls a kernel; it is there on a CPU, where `available`.
+  **attributes: Any,
+) -> tuple[jax.Array, ...]:
+  """Calls a kernel, which is there on a CPU if `native.available`.
 
-  Where a batch is spread over devices, each calls it for its own samples.
+  Where a batch is spread over the devices of a mesh, each device calls it for its own samples.
+  Under `jax.vmap`, a mapped axis of volumes becomes part of their batch; if other arrays are
+  mapped, the kernel is called for one element of the axis after another.
 
   Args:
-    name: one of `KERNELS`.
-    results: their shapes and types; the first axis is the batch's.
-    *arrays: what it takes.
-    volumes: which of them have the batch as first axis, the first among them; all devices need the
-      others whole.
-    in_place: which of them the first result may overwrite, where nothing else needs it.
-    **attributes: numpy integers.
+    name: one of `native.KERNELS`.
+    results: their shapes and types; the first axis is the batch.
+    *arrays: the kernel's operands.
+    volumes: which of them have the batch as first axis; the others are needed whole.
+    in_place: which of them the first result may overwrite, if nothing else needs it.
+    **attributes: numpy scalars.
   """
+  options = {'volumes': volumes, 'in_place': in_place, **attributes}
 
-  aliases = {} if in_place is None else {in_place: 0}
+  def of_batch(size, **types):
+    return [jax.ShapeDtypeStruct((size, *r.shape[1:]), r.dtype, **types) for r in results]
 
   def run(*arrays):
-    local = [jax.ShapeDtypeStruct((len(arrays[0]), *r.shape[1:]), r.dtype) for r in results]
-    call = jax.ffi.ffi_call(native.target(name), local, input_output_aliases=aliases)
-    return tuple(call(*arrays, **attributes))
+    arrays = alike(*arrays)
+    kind = jax.typeof(arrays[0])
+    mesh = kind.sharding.mesh
+    types = (
+      {}
+      if mesh.empty
+      else {
+        'sharding': NamedSharding(mesh, PartitionSpec()),
+        'manual_axis_type': kind.mat,
+      }
+    )
+    found = jax.ffi.ffi_call(
+      native.target(name),
+      of_batch(len(arrays[volumes[0]]), **types),
+      input_output_aliases={} if in_place is None else {in_place: 0},
+    )(*arrays, **attributes)
+    return tuple(found)
 
-  if jax.device_count() == 1:  # the partitioner's callbacks would miss the compilation cache
-    return run(*arrays)
+  @jax.custom_batching.custom_vmap
+  def mappable(*arrays):
+    return _over_devices(run, len(results), *arrays, volumes=volumes)
 
-  def partition(mesh, arguments, _):
-    spec = arguments[0].sharding.spec
-    batch = NamedSharding(mesh, PartitionSpec(spec[0] if len(spec) else None))
-    whole = NamedSharding(mesh, PartitionSpec())
-    shardings = [batch if i in volumes else whole for i in range(len(arrays))]
-    return mesh, run, (batch,) * len(results), tuple(shardings)
+  @mappable.def_vmap
+  def _(size, is_mapped, *arrays):
+    batch = results[0].shape[0]
+    if any(is_mapped[n] for n in range(len(arrays)) if n not in volumes):
+      mapped = [x for x, m in zip(arrays, is_mapped, strict=True) if m]
 
-  spread = custom_partitioning(run)
-  spread.def_partition(partition, sharding_rule=_rule(arrays, results, volumes))
-  return spread(*arrays)
+      def one(some):
+        some = iter(some)
+        whole = [next(some) if m else x for x, m in zip(arrays, is_mapped, strict=True)]
+        return call(name, results, *whole, **options)
+
+      found = lax.map(one, mapped)
+    else:
+
+      def flat(x, is_mapped):
+        x = x if is_mapped else jnp.broadcast_to(x, (size, *x.shape))
+        return x.reshape(size * batch, *x.shape[2:])
+
+      whole = [
+        flat(x, m) if n in volumes else x
+        for n, (x, m) in enumerate(zip(arrays, is_mapped, strict=True))
+      ]
+      found = call(name, of_batch(size * batch), *whole, **options)
+      found = tuple(x.reshape(size, batch, *x.shape[1:]) for x in found)
+    return found, (True,) * len(found)
+
+  return mappable(*arrays)
 
 
 def sum_samples(x: jax.Array) -> jax.Array:
   """x.sum(0), as a product: the compiler's own sum over the first axis is slow."""
-  return (jnp.ones((1, len(x))) @ x.reshape(len(x), -1)).reshape(x.shape[1:])
+  return (jnp.ones((1, len(x)), x.dtype) @ x.reshape(len(x), -1)).reshape(x.shape[1:])
 
 
-def _rule(arrays, results, volumes) -> str:
-  """How axes of arguments and results go together, for the partitioner: only the batch's do."""
-  names = itertools.count()
+def _over_devices(run, count, *arrays, volumes):
+  """run(*arrays) -> `count` results, each device with its share of the batch if it can have one."""
+  mesh, axes = _batch_axes(len(arrays[volumes[0]]), arrays)
+  if not axes:
+    return run(*arrays)
+  batch = PartitionSpec(axes)
+  specs = tuple(batch if n in volumes else PartitionSpec() for n in range(len(arrays)))
+  return jax.shard_map(
+    run, mesh=mesh, in_specs=specs, out_specs=(batch,) * count, axis_names=set(axes)
+  )(*arrays)
 
-  def axes(array, has_batch):
-    found = [f'a{next(names)}' for _ in array.shape]
-    return ' '.join((['batch', *found[1:]] if has_batch else found) or [''])
 
-  left = ', '.join(axes(a, i in volumes) for i, a in enumerate(arrays))
-  return f'{left} -> {", ".join(axes(r, True) for r in results)}'
+def _batch_axes(size, arrays):
+  """The mesh that the arrays' types name, and those of its axes that share out the batch.
+
+  Types of arrays do not say along which axis of the mesh a batch is spread: it is spread along
+  all, as long as they divide it.
+  """
+  meshes = [jax.sharding.get_abstract_mesh(), *(jax.typeof(x).sharding.mesh for x in arrays)]
+  mesh = next((m for m in meshes if not m.empty), None)
+  axes = []
+  for name, kind in zip(mesh.axis_names, mesh.axis_types, strict=True) if mesh else ():
+    count = math.prod(mesh.shape[n] for n in (*axes, name))
+    if kind == AxisType.Auto and count > 1 and size % count == 0:
+      axes.append(name)
+  return mesh, tuple(axes)

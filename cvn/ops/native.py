@@ -66,12 +66,17 @@ _substitutes: list[Library | None] = []  # of `using`, the last one counts
 
 def library() -> Library | None:
   """This process's library, None if there is none; the first call builds it if it must."""
-  return _substitutes[-1] if _substitutes else _choose()
+  return _substitutes[-1] if _substitutes else _choose()[0]
 
 
 def available() -> bool:
   """Whether this process has compiled kernels."""
   return library() is not None
+
+
+def missing() -> str:
+  """Why this process has no compiled kernels; nothing if it has some."""
+  return '' if available() else _choose()[1] or 'none are in use'
 
 
 def wins(operation: str, *, mixed: bool) -> bool:
@@ -187,19 +192,22 @@ def cache_folder() -> pathlib.Path:
 
 
 @functools.cache
-def _choose() -> Library | None:
+def _choose() -> tuple[Library | None, str]:
+  """The library, or why there is none."""
   if os.environ.get('CVN_KERNELS') == 'off':
-    return None
+    return None, 'CVN_KERNELS=off'
+  why = ''
   for origin, find in (('named', _named), ('shipped', _shipped), ('compiled', _compiled)):
     try:
       path = find()
       if path is not None:
         folder = path.parent if origin == 'compiled' else cache_folder()
         times = timings.find(path, folder)
-        return load(path, suffix='')._replace(origin=origin, timings=times)
+        return load(path, suffix='')._replace(origin=origin, timings=times), ''
     except (OSError, AttributeError, RuntimeError, subprocess.SubprocessError) as e:
       _tell_failure(origin, e)
-  return None
+      why = compiling.reason(e)
+  return None, why
 
 
 def _named() -> pathlib.Path | None:

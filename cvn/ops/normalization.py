@@ -1,4 +1,4 @@
-"""Batch normalisation and the activation after it, as one function with its own derivative.
+"""Batch normalisation and the activation after it, as one function with its own gradient.
 
 The derivative of each activation here is a function of its output, so what the backward pass keeps
 is the input (the product before it keeps nothing) and the output (the next product needs it
@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cvn.ops import dispatch, native
+from cvn.ops import dispatch
+from cvn.ops.derivatives import with_derivatives
 
 EPSILON = 1e-3  # of the authors' program
 
@@ -59,22 +60,38 @@ def affine(x, mean, variance, scale, offset, activation: Activation):
   return activated(x, *coefficients(mean, variance, scale, offset), activation)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(3,))
-def normalize(x, scale, offset, activation: Activation):
+def normalize(x, scale, offset, activation: Activation, *, implementation: str = 'auto'):
   """Normalises by the batch's own statistics.
 
   Args:
-    x: [..., C].
+    x: [..., C]; other floating types than float32 are cast, also those of scale and offset.
     scale, offset: [C], BatchNorm's gamma and beta.
     activation: applied after it.
+    implementation: one of dispatch.IMPLEMENTATIONS; all but 'xla' have the gradient above.
 
   Returns:
     (y [..., C], mean [C], variance [C]): the variance is the biased one. No gradient flows through
     mean and variance as returned; the gradient of y accounts for them.
+
+  Raises:
+    ValueError: the implementation is unknown.
+    TypeError: an array does not have floating-point numbers.
   """
-  axes = tuple(range(x.ndim - 1))
-  mean, variance = moments(jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)]), x)
-  return affine(x, mean, variance, scale, offset, activation), mean, variance
+  dispatch.check(implementation)
+  arrays = dispatch.alike(
+    dispatch.as_float('normalize: x', x),
+    dispatch.as_float('normalize: scale', scale),
+    dispatch.as_float('normalize: offset', offset),
+  )
+  plain = functools.partial(_normalize, activation)
+  if implementation == 'xla':
+    return plain(*arrays)
+  return with_derivatives(
+    plain,
+    functools.partial(_normalize_gradient, activation),
+    plain_value=plain,
+    plain_gradient=functools.partial(_normalize_gradient, activation),
+  )(*arrays)
 
 
 def moments(sums, x):
@@ -83,13 +100,63 @@ def moments(sums, x):
   return mean, jnp.maximum(square - mean * mean, 0)
 
 
-def _normalize_forward(x, scale, offset, activation):
-  y, mean, variance = normalize(x, scale, offset, activation)
-  return (y, mean, variance), (x, y, mean, variance, scale)
+def activate(x, gain, offset, activation: Activation, *, implementation: str = 'auto') -> jax.Array:
+  """activation(gain x + offset) of a volume.
+
+  Args:
+    x: [..., X, Y, Z, C] float32 or bfloat16; other floating types are cast to float32.
+    gain, offset: [C], cast to float32.
+    activation: the function.
+    implementation: one of dispatch.IMPLEMENTATIONS.
+
+  Raises:
+    ValueError: shapes do not fit, or the implementation is unknown.
+    TypeError: an array does not have floating-point numbers.
+    RuntimeError: there are no compiled kernels, which `implementation` asks for.
+  """
+  dispatch.check(implementation)
+  shape = np.shape(x)
+  if len(shape) < 4 or not np.shape(gain) == np.shape(offset) == shape[-1:]:
+    raise ValueError(
+      f'activate takes x [..., X, Y, Z, C] and gain and offset [C]: {shape}, {np.shape(gain)},'
+      f' {np.shape(offset)}'
+    )
+  arrays = dispatch.alike(
+    dispatch.as_float('activate: x', x, dispatch.VOLUMES).reshape(-1, *shape[-4:]),
+    dispatch.as_float('activate: gain', gain),
+    dispatch.as_float('activate: offset', offset),
+  )
+  plain = functools.partial(_plain, activation)
+  if implementation == 'xla':
+    (y,) = plain(*arrays)
+  else:
+    plain_gradient = functools.partial(_plain_gradient, activation)
+    choose = functools.partial(
+      dispatch.choose,
+      'activated',
+      implementation=implementation,
+      mixed=arrays[0].dtype == jnp.bfloat16,
+    )
+    (y,) = with_derivatives(
+      lambda *arrays: choose(functools.partial(_kernel, activation), plain, *arrays),
+      lambda *groups: choose(
+        functools.partial(_kernel_gradient, activation), plain_gradient, *groups
+      ),
+      plain_value=plain,
+      plain_gradient=plain_gradient,
+    )(*arrays)
+  return y.reshape(shape)
 
 
-def _normalize_backward(activation, residuals, cotangents):
-  x, y, mean, variance, scale = residuals
+def _normalize(activation, x, scale, offset):
+  axes = tuple(range(x.ndim - 1))
+  mean, variance = moments(jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)]), x)
+  y = affine(x, mean, variance, scale, offset, activation)
+  return y, jax.lax.stop_gradient(mean), jax.lax.stop_gradient(variance)
+
+
+def _normalize_gradient(activation, arrays, results, cotangents):
+  (x, scale, _), (y, mean, variance) = arrays, results
   axes, count = tuple(range(x.ndim - 1)), x.size // x.shape[-1]
   rstd = jax.lax.rsqrt(variance + EPSILON)
   # dz is the gradient before the activation; its sums are enough to find that of the input.
@@ -103,56 +170,32 @@ def _normalize_backward(activation, residuals, cotangents):
   return dz * _spread(gain, x) + x * _spread(slope, x) + _spread(rest, x), d_scale, d_offset
 
 
-normalize.defvjp(_normalize_forward, _normalize_backward)
+def _kernel(activation, x, gain, offset):
+  result = jax.ShapeDtypeStruct(x.shape, x.dtype)
+  return dispatch.call('cvn_activated', [result], x, gain, offset, activation=activation.number)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(3,))
-def activate(x, gain, offset, activation: Activation):
-  """The same of a volume [B, X, Y, Z, C]."""
-
-  def kernel(*arrays):
-    result = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return dispatch.call('cvn_activated', [result], *arrays, activation=activation.number)[0]
-
-  def loops(*arrays):
-    return activated(*arrays, activation)
-
-  return _by_platform(kernel, loops, x, gain, offset)
-
-
-def _activate_forward(x, gain, offset, activation):
-  return activate(x, gain, offset, activation), (x, gain, offset)
+def _kernel_gradient(activation, arrays, _, cotangents):
+  """Those of x, gain and offset."""
+  x = arrays[0]
+  found = [
+    jax.ShapeDtypeStruct(x.shape, x.dtype),
+    jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32),
+  ]
+  dx, sums = dispatch.call(
+    'cvn_activated_gradient', found, *arrays, *cotangents,
+    volumes=(0, 3), in_place=3, activation=activation.number,
+  )  # fmt: skip
+  doffset, dgain = sums.sum(0)
+  return dx, dgain, doffset
 
 
-def _activate_backward(activation, residuals, dy):
-  def kernel(x, gain, offset, dy):
-    results = [
-      jax.ShapeDtypeStruct(x.shape, x.dtype),
-      jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32),
-    ]
-    dx, sums = dispatch.call(
-      'cvn_activated_gradient', results, x, gain, offset, dy,
-      volumes=(0, 3), in_place=3, activation=activation.number,
-    )  # fmt: skip
-    doffset, dgain = sums.sum(0)
-    return dx, dgain, doffset
-
-  def loops(x, gain, offset, dy):
-    return jax.vjp(lambda *a: activated(*a, activation), x, gain, offset)[1](dy)
-
-  return _by_platform(kernel, loops, *residuals, dy)
+def _plain(activation, x, gain, offset):
+  return (activated(x, gain, offset, activation),)
 
 
-activate.defvjp(_activate_forward, _activate_backward)
-
-
-def _by_platform(kernel, loops, *arrays):
-  """The compiled kernel on a CPU that has it, loops of the compiler's elsewhere."""
-
-  def on_cpu(*arrays):
-    return (kernel if native.available() else loops)(*arrays)
-
-  return jax.lax.platform_dependent(*arrays, cpu=on_cpu, default=loops)
+def _plain_gradient(activation, arrays, _, cotangents):
+  return jax.vjp(lambda *a: activated(*a, activation), *arrays)[1](*cotangents)
 
 
 def _spread(v, like):

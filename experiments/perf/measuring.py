@@ -16,7 +16,6 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, NamedTuple
-from unittest import mock
 
 import flax
 import jax
@@ -30,7 +29,7 @@ from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from cvn.machine import processor
-from cvn.ops import deconv, native
+from cvn.ops import dispatch, native
 from cvn.recipe import PAPER
 from experiments import train as program
 from experiments.perf import layers
@@ -116,7 +115,9 @@ def describe_machine() -> dict[str, Any]:
   }
 
 
-def time_steps(kind: str, batch_size: int, mixed: bool, steps: int) -> Steps:
+def time_steps(
+  kind: str, batch_size: int, mixed: bool, steps: int, *, implementation: str = 'auto'
+) -> Steps:
   """Whole training steps: forward, loss, backward, Adam.
 
   Args:
@@ -124,11 +125,12 @@ def time_steps(kind: str, batch_size: int, mixed: bool, steps: int) -> Steps:
     batch_size: views.
     mixed: whether in mixed precision.
     steps: how many are timed after the first.
+    implementation: of the layers, see cvn/ops/dispatch.py.
   """
   batch = make_batch(batch_size)
   state, step = (
     train.create_state(jax.random.key(0), kind),
-    train.make_step(kind, PAPER, mixed=mixed),
+    train.make_step(kind, PAPER, mixed=mixed, implementation=implementation),
   )
   seconds = []
   for _ in range(steps + 1):
@@ -141,13 +143,8 @@ def time_steps(kind: str, batch_size: int, mixed: bool, steps: int) -> Steps:
 
 def time_reference(kind: str) -> Steps:
   """One step of `REFERENCE_BATCH` views with the library's (de)convolutions, float32."""
-
-  def library(kernels, products, library, *arrays):
-    del kernels, products
-    return library(*arrays)
-
-  with mock.patch.object(deconv, 'by_platform', library):
-    return time_steps(kind, REFERENCE_BATCH, False, 1)
+  with dispatch.convolutions_everywhere():
+    return time_steps(kind, REFERENCE_BATCH, False, 1, implementation='xla')
 
 
 def time_layers(kind: str, batch_size: int, mixed: bool) -> tuple[layers.Peaks, list[layers.Row]]:
