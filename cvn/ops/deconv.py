@@ -114,7 +114,10 @@ conv.defvjp(_conv_forward, _conv_backward)
 
 
 _LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
-_PRODUCTS = {'deconv': matmul.deconv, 'conv': matmul.conv}
+_PRODUCTS = {
+  'deconv': (matmul.deconv, matmul.deconv_gradient),
+  'conv': (matmul.conv, matmul.conv_gradient),
+}
 
 
 def _forward(name, y, *arguments):
@@ -128,16 +131,17 @@ def _forward(name, y, *arguments):
     )
     return out, sums.sum(0)
 
-  def of(product):
-    def composed(x, gain, offset, kernel):
-      kernel = _factor(kernel, x, product)
-      out = product(activated(x, gain, offset, activation), kernel).astype(y.dtype)
-      wide, axes = out.astype(jnp.float32), (0, 1, 2, 3)
-      return out, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+  def products(x, gain, offset, kernel):
+    kernel = kernel.astype(x.dtype).astype(jnp.float32)
+    return _PRODUCTS[name][0](x, gain, offset, kernel, activation, y.dtype)
 
-    return composed
+  def library(x, gain, offset, kernel):
+    a = activated(x, gain, offset, activation)
+    out = _LIBRARY[name](a, kernel.astype(x.dtype)).astype(y.dtype)
+    wide, axes = out.astype(jnp.float32), (0, 1, 2, 3)
+    return out, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
 
-  return by_platform(kernels, *map(of, _plain_programs(name)), *arrays)
+  return by_platform(kernels, products, library, *arrays)
 
 
 def _gradients(name, activation, inputs, y, cotangents):
@@ -159,37 +163,22 @@ def _gradients(name, activation, inputs, y, cotangents):
     dkernel = dispatch.sum_samples(dkernel)
     return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
-  def of(product):
-    def composed(x, gain, offset, kernel, y, dy, dsums):
-      first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
-      dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
+  def products(x, gain, offset, kernel, *results):
+    kernel = kernel.astype(x.dtype).astype(jnp.float32)
+    return _PRODUCTS[name][1](x, gain, offset, kernel, activation, *results)
 
-      def value(x, gain, offset, kernel):
-        return product(activated(x, gain, offset, activation), kernel)
+  def library(x, gain, offset, kernel, y, dy, dsums):
+    first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
+    dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
 
-      kernel = _factor(kernel, x, product)
-      out, pull = jax.vjp(value, x, gain, offset, kernel)
-      *gradients, dkernel = pull(dy.astype(x.dtype).astype(out.dtype))
-      return *gradients, dkernel.astype(jnp.float32)
+    def value(x, gain, offset, kernel):
+      return _LIBRARY[name](activated(x, gain, offset, activation), kernel)
 
-    return composed
+    out, pull = jax.vjp(value, x, gain, offset, kernel.astype(x.dtype))
+    *gradients, dkernel = pull(dy.astype(out.dtype))
+    return *gradients, dkernel.astype(jnp.float32)
 
-  return by_platform(kernels, *map(of, _plain_programs(name)), *inputs, y, *cotangents)
-
-
-def _plain_programs(name):
-  """Two products f(a, kernel): of matrices, in float32, and the library's, in the type of a."""
-
-  def products(a, kernel):
-    return _PRODUCTS[name](a.astype(jnp.float32), kernel)
-
-  return products, _LIBRARY[name]
-
-
-def _factor(kernel, x, product):
-  """The kernel as a factor of a product with x: no more digits than x has."""
-  kernel = kernel.astype(x.dtype)
-  return kernel if product in _LIBRARY.values() else kernel.astype(jnp.float32)
+  return by_platform(kernels, products, library, *inputs, y, *cotangents)
 
 
 def by_platform(kernels, products, library, *arrays):

@@ -37,7 +37,13 @@ from experiments.perf import layers
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
 REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
-SETTINGS = ('LD_PRELOAD', 'GLIBC_TUNABLES', 'CVN_KERNELS', 'CVN_TARGET', 'XLA_FLAGS')  # variables that speed depends on
+SETTINGS = (
+  'LD_PRELOAD',
+  'GLIBC_TUNABLES',
+  'CVN_KERNELS',
+  'CVN_TARGET',
+  'XLA_FLAGS',
+)  # variables that speed depends on
 READERS = {'shape': data.read_shape, 'color': data.read_color}
 DATA_ROUNDS = 3
 DATA_STEPS = 10  # at least, in a round: more than is read ahead
