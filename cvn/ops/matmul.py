@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cvn.ops import dispatch
 from cvn.ops.normalization import Activation, activated
 
 _DECONV_ROWS, _CONV_ROWS = 4096, 8192  # voxels of x in a slab, at most
@@ -72,7 +73,8 @@ def deconv(
     y = jnp.stack([planes(copies, even), planes(copies[:4], odd)], 2).astype(dtype)
     return sums + _sums(y), y
 
-  sums, y = lax.scan(slab, jnp.zeros((2, cout)), (_split(x, slabs), _split(before, slabs)))
+  _, zeros = dispatch.alike(x, jnp.zeros((2, cout)))
+  sums, y = lax.scan(slab, zeros, (_split(x, slabs), _split(before, slabs)))
   return y.reshape(b, *(2 * s for s in size), cout), sums
 
 
@@ -227,8 +229,8 @@ def _gradients(inputs, activation, weights, slabs, gather: Callable, arrays):
     dweights = copies.T @ a.astype(jnp.float32).reshape(len(copies), -1)
     return jax.tree.map(jnp.add, sums, (*coefficients, dweights)), dx
 
-  zeros = jnp.zeros_like(gain), jnp.zeros_like(offset), jnp.zeros_like(weights)
-  sums, dx = lax.scan(slab, zeros, (_split(x, slabs), *arrays))
+  _, *zeros = dispatch.alike(x, *(jnp.zeros_like(v) for v in (gain, offset, weights)))
+  sums, dx = lax.scan(slab, tuple(zeros), (_split(x, slabs), *arrays))
   return dx.reshape(x.shape), *sums
 
 
@@ -237,7 +239,8 @@ def _slabs(shape, rows):
   b, sx, *rest = shape[:-1]
   plane = math.prod(rest)
   if sx * plane <= rows:
-    n = max(d for d in range(1, b + 1) if b % d == 0 and d * sx * plane <= rows)
+    fitting = (d for d in range(1, b + 1) if b % d == 0 and d * sx * plane <= rows)
+    n = max(fitting, default=1)
     return b // n, n, sx
   s = max(d for d in range(1, sx + 1) if sx % d == 0 and (d == 1 or d * plane <= rows))
   return b * sx // s, 1, s
