@@ -86,7 +86,11 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
   flags.DEFINE_string('scheduler', None, 'A Dask scheduler whose workers do the work.', **own)
   flags.DEFINE_float(
-    'timeout', TIMEOUT, 'Seconds after which a model is given up.', lower_bound=0.1, **own
+    'timeout',
+    TIMEOUT,
+    'Seconds of processor time after which a model is given up.',
+    lower_bound=0.1,
+    **own,
   )
   flags.DEFINE_float(
     'memory_limit',

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -14,6 +15,7 @@ try:
 except ImportError:  # no limits of memory where the system has none
   resource = None
 
+PATIENCE = 10  # times as long by the clock as work may compute: the machine may be busy or stopped
 GRACE = 30.0  # seconds that code has for noticing that its time is over
 EXIT_STATUS = 75  # of a process that did not notice
 
@@ -25,12 +27,15 @@ class _TimeIsOver(BaseException):
 def call_within(seconds: float, function: Callable, *args, grace: float = GRACE):
   """Calls a function, and gives it up when it takes too long.
 
+  Time counts while this process computes: on a busy machine, work gets as much as on an idle one.
+  Work that waits for something else is given up after `PATIENCE` times as long.
+
   It runs in a thread of its own, in which an exception is raised when time is over. Python code
   notices at once. Native code does when it returns; if that takes more than `grace` seconds, the
   whole process ends with `EXIT_STATUS`, because nothing less can stop it.
 
   Args:
-    seconds: the limit.
+    seconds: the limit, in seconds of processor time and by the clock.
     function: what to call.
     *args: its arguments.
     grace: seconds.
@@ -51,8 +56,14 @@ def call_within(seconds: float, function: Callable, *args, grace: float = GRACE)
       future.set_exception(e)
 
   thread = threading.Thread(target=work, daemon=True)
+  clock, computed = time.monotonic(), time.process_time()
   thread.start()
   thread.join(seconds)
+  while thread.is_alive() and time.monotonic() - clock < PATIENCE * seconds:
+    left = seconds - (time.process_time() - computed)
+    if left <= 0:
+      break
+    thread.join(max(left, 0.05))
   if thread.is_alive():
     for _ in range(max(1, round(grace))):  # again and again: some code catches everything
       ctypes.pythonapi.PyThreadState_SetAsyncExc(

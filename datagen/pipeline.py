@@ -49,6 +49,7 @@ class Settings(NamedTuple):
 
 
 SETTINGS = Settings()
+NO_MEMORY = 'it needs more memory than a worker may have'
 
 
 class Job(NamedTuple):
@@ -113,18 +114,22 @@ def run_job(job: Job) -> Outcome:
     UserError: the data set cannot be written: no other model will fare better.
   """
   start = time.perf_counter()
-  arrays = dataset_lib.open_arrays(job.root)
+  stats, reason = None, ''
   try:
-    record, stats = call_within(job.timeout, _make, job)
-    reason = ''
-  except UserError as e:
-    record, stats, reason = None, None, str(e)
+    arrays = dataset_lib.open_arrays(job.root)
+    try:
+      record, made = call_within(job.timeout, _make, job)
+    except UserError as e:
+      reason = str(e)
+    else:
+      dataset_lib.write_record(arrays, job.row, record)
+      stats = made
+  except UserError:
+    raise
   except MemoryError:
-    record, stats, reason = None, None, 'it needs more memory than a worker may have'
+    reason = NO_MEMORY
   except Exception as e:  # one file that some library chokes on must not stop the run
-    record, stats, reason = None, None, f'{type(e).__name__}: {e}'
-  if record is not None:
-    dataset_lib.write_record(arrays, job.row, record)
+    reason = f'{type(e).__name__}: {e}'
   return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()))
 
 
@@ -150,10 +155,14 @@ def run_jobs(
 ) -> Iterator[Outcome]:
   """Runs jobs and yields each outcome as it comes.
 
-  When a worker dies (a crash in native code, no memory), a pool of local processes is lost with all
-  that it had in hand. Those jobs are run again one by one, each in a pool of its own, and the one
-  whose pool breaks again is the one that failed. Dask gives the job of a worker that died to
-  another one, and only after several such deaths fails the job.
+  When a worker dies (a crash in native code), a pool of local processes is lost with all that it
+  had in hand. Those jobs are run again one by one, each in a pool of its own, and the one whose
+  pool breaks again is the one that failed. Dask gives the job of a worker that died to another one,
+  and only after several such deaths fails the job.
+
+  A worker that ran out of memory may keep most of it: freed memory goes back to the system only
+  where nothing above it is in use. Models that fit would fail in it, for any reason. So the pool
+  is given no more jobs, and what fails in it from then on is run again in the same way.
 
   Args:
     jobs: what to do.
@@ -193,7 +202,10 @@ def run_jobs(
           except Exception as e:
             yield Outcome(job.row, 0.0, None, f'its worker was lost: {" ".join(str(e).split())}')
           else:
-            yield outcome
+            if outcome.reason == NO_MEMORY or (outcome.reason and suspects):
+              suspects.append(job)
+            else:
+              yield outcome
     finally:
       for future in running:
         future.cancel()

@@ -296,6 +296,44 @@ def test_a_dying_worker_costs_its_own_job_only(fatal):
   assert sorted(made) == sorted(set(range(10)) - fatal)
 
 
+class CrowdedExecutor(Executor):
+  """Its worker runs out of memory at some rows, and keeps so much that all others fail after."""
+
+  def __init__(self, large, made):
+    self.large, self.made, self.full = large, made, False
+
+  def submit(self, _, job):
+    future, reason = Future(), ''
+    if job.row in self.large:
+      self.full, reason = True, pipeline.NO_MEMORY
+    elif self.full:
+      reason = "RuntimeError: can't start new thread"
+    else:
+      self.made.append(job.row)
+    future.set_result(Outcome(job.row, 0.0, None, reason))
+    return future
+
+
+@pytest.mark.parametrize('large', [{0}, {3}, {9}, {2, 3, 7}, set(range(10))])
+def test_memory_that_a_worker_keeps_costs_no_other_model(large):
+  made = []
+  jobs = [Job('', row, None, '', None, None) for row in range(10)]
+  outcomes = list(run_jobs(jobs, lambda workers: CrowdedExecutor(large, made), 2))
+  assert sorted(o.row for o in outcomes) == list(range(10))
+  assert {o.row: o.reason for o in outcomes if o.reason} == dict.fromkeys(large, pipeline.NO_MEMORY)
+  assert sorted(made) == sorted(set(range(10)) - large)
+
+
+def test_memory_that_ends_while_a_record_is_written(generated, monkeypatch):
+  def full(*_):
+    raise MemoryError
+
+  monkeypatch.setattr(dataset_lib, 'write_record', full)
+  monkeypatch.setattr(pipeline, '_make', lambda job: (None, None))
+  job = Job(str(generated[1]), 1, None, '', Settings(), 60.0)
+  assert pipeline.run_job(job).reason == pipeline.NO_MEMORY
+
+
 def test_models_are_appended_to_a_data_set(generated, meshes, tmp_path, threads, capsys):
   whole = contents(generated[1])
   part = tmp_path / 'part'

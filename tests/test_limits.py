@@ -42,6 +42,27 @@ def test_endless_work_is_given_up(work):
     limits.call_within(0.2, work)
 
 
+def test_waiting_for_the_processor_does_not_count():
+  """The work computes for less than its limit, but takes longer by the clock."""
+
+  def slow():
+    time.sleep(1.0)
+    return 'done'
+
+  assert limits.call_within(0.5, slow) == 'done'
+
+
+def test_work_that_waits_for_good_is_given_up():
+  def waiting():
+    while True:
+      time.sleep(0.01)
+
+  start = time.monotonic()
+  with pytest.raises(UserError, match=r'took more than 0\.2 s'):
+    limits.call_within(0.2, waiting)
+  assert time.monotonic() - start >= 0.2 * limits.PATIENCE
+
+
 def test_native_work_that_does_not_return_ends_the_process():
   code = (
     'import time; from datagen import limits; limits.call_within(0.1, time.sleep, 600, grace=1)'

@@ -1,0 +1,88 @@
+"""The same training step in PyTorch (torch_peer.py), to be timed in turn with ours.
+
+It runs in an environment of its own: PyTorch is no dependency of this project.
+"""
+
+import itertools
+import pathlib
+import re
+import shlex
+import subprocess
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from cvn.errors import UserError
+
+PROGRAM = pathlib.Path(__file__).with_name('torch_peer.py')
+OPTIONS = ('default', 'channels_last', 'compile', 'channels_last+compile')
+# What may be the fastest for each of our types: without fast bfloat16, float32 is.
+DTYPES = {'float32': ('float32',), 'mixed': ('float32', 'bfloat16')}
+TIMEOUT = 180  # s; without fast bfloat16 instructions a bfloat16 step takes minutes
+_FIGURE = re.compile(r'([0-9]+(?:\.[0-9]+)?) images/s')
+
+
+class Setting(NamedTuple):
+  """How PyTorch runs the step."""
+
+  dtype: str  # 'float32' or 'bfloat16'
+  options: str  # one of `OPTIONS`
+
+  def __str__(self) -> str:
+    return f'{self.dtype}, {self.options}'
+
+
+class Trial(NamedTuple):
+  """A process of the peer."""
+
+  rate: float  # images/s
+  version: str  # of PyTorch, with what it says of the processor
+
+
+def list_settings(dtype: str, options: Sequence[str]) -> list[Setting]:
+  """The settings to try.
+
+  Args:
+    dtype: ours, 'float32' or 'mixed'.
+    options: of `OPTIONS`.
+  """
+  return [Setting(*pair) for pair in itertools.product(DTYPES[dtype], options)]
+
+
+def make_command(
+  python: str, setting: Setting, *, network: str, batch_size: int, steps: int
+) -> list[str]:
+  """The command that times a setting; `python` is an interpreter that has PyTorch."""
+  chosen = [] if setting.options == 'default' else setting.options.split('+')
+  return [
+    python,
+    str(PROGRAM),
+    f'--network={network}',
+    f'--batch_size={batch_size}',
+    f'--steps={steps}',
+    f'--dtype={setting.dtype}',
+    *(f'--{option}' for option in chosen),
+  ]
+
+
+def measure(command: Sequence[str], *, timeout: float = TIMEOUT) -> Trial | None:
+  """Runs a command and reads the last 'X images/s' that it prints; None if time is up.
+
+  Raises:
+    UserError: the command cannot be run, fails, or prints no such figure.
+  """
+  shown = shlex.join(command)
+  try:
+    done = subprocess.run(
+      command, capture_output=True, text=True, errors='replace', timeout=timeout
+    )
+  except subprocess.TimeoutExpired:
+    return None
+  except OSError as e:
+    raise UserError(f'PyTorch cannot be run ({e.strerror}): {shown}') from e
+  last = (done.stderr.strip() or done.stdout.strip() or 'no output').splitlines()[-1]
+  if done.returncode != 0:
+    raise UserError(f'PyTorch ended with status {done.returncode} ({last}): {shown}')
+  figures = [float(x) for x in _FIGURE.findall(done.stdout)]
+  if not figures or figures[-1] <= 0:
+    raise UserError(f"PyTorch prints no figure such as '8.5 images/s' ({last}): {shown}")
+  return Trial(figures[-1], done.stdout.splitlines()[0])
