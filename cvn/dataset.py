@@ -9,7 +9,7 @@
   surface_color  [N,C,3]      u8   sRGB albedo
   visible        [N,V,C]      u8   1 where the view sees the voxel
   flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel
-  facts          [N,3]        f32  what `Facts` tells of the mesh
+  facts          [N,4]        f32  what `Facts` tells of the mesh; older data sets lack its last
   surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
 
 The manifest's cameras are those that datagen renders with. Models of source im2avatar_release have
@@ -75,6 +75,7 @@ class Facts(NamedTuple):
   faces: float = 0  # triangles with an area
   missing: float = 0  # files of textures and materials that are named but not there
   volume: float = 0  # signed, of its bounding box's: below 0 where faces look inwards
+  notes: float = 0  # bits of what its reader ignored or guessed (datagen/notes.py)
 
 
 class Record(NamedTuple):

@@ -30,6 +30,7 @@ class Examined(NamedTuple):
   uprightness: float  # height over the longer of width and depth
   missing: int  # files of textures and materials that were not there
   volume: float  # signed, of its bounding box's
+  notes: int = 0  # bits of datagen.notes
 
 
 def examine(record: Record) -> Examined:
@@ -48,6 +49,7 @@ def examine(record: Record) -> Examined:
     uprightness=float(extent[1] / max(extent[0], extent[2])),
     missing=int(record.facts.missing),
     volume=float(record.facts.volume),
+    notes=int(record.facts.notes),
   )
 
 
@@ -98,7 +100,7 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
     if max(times, 1 / times) > SLENDER:
       reasons.append(f'far from upright ({times:.1f} times as tall as the median {category})')
     if e.missing:
-      reasons.append(f'{e.missing} files of textures or materials missing')
+      reasons.append(f'{e.missing} files or materials missing')
     result.append(reasons)
   return result
 

@@ -28,12 +28,13 @@ from tqdm import tqdm
 
 from cvn import dataset as dataset_lib
 from cvn import errors
-from cvn.dataset import Dataset
+from cvn.dataset import Dataset, Facts
 from cvn.errors import UserError
 from datagen import sources
 from datagen.contact_sheet import contact_sheet
 from datagen.executors import dask_client, process_executor
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
+from datagen.notes import from_bits
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
 from datagen.plan import keep_listed, list_models, open_or_create, plan
 from datagen.render import SHADINGS
@@ -199,12 +200,22 @@ def summary(
     lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
   if rated:
     lines += _flow_lines(FlowStats(*np.mean(rated, axis=0)))
+  lines += _note_lines([o.facts for o in made if o.facts is not None])
   shown = list(failures.items())[:REASONS_SHOWN]
   lines += [f'failed: {model_id}: {reason}' for model_id, reason in shown]
   if len(failures) > REASONS_SHOWN:
     lines.append(f'and {len(failures) - REASONS_SHOWN} more, in failures.json')
   lines.append(f'look at contact_sheet.png in {dataset.root}')
   return '\n'.join(lines)
+
+
+def _note_lines(facts: Sequence[Facts]) -> list[str]:
+  """What readers missed, ignored or guessed, and of how many models."""
+  lacking = sum(f.missing > 0 for f in facts)
+  lines = [f'{lacking} models name files or materials that are not there'] if lacking else []
+  counts = Counter(note for f in facts for note in from_bits(f.notes))
+  lines += [f'{count} models: {note}' for note, count in counts.most_common()]
+  return [*lines, 'which models they are: datagen.inspect'] if lines else []
 
 
 def _flow_lines(s: FlowStats) -> list[str]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from cvn import dataset as dataset_lib
 from cvn.camera import AZIMUTHS, IMAGE_SIZE, camera_at
-from cvn.dataset import Record
+from cvn.dataset import Facts, Record
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import mesh as mesh_lib
@@ -70,6 +70,7 @@ class Outcome(NamedTuple):
   seconds: float
   stats: FlowStats | None  # None when it failed
   reason: str  # '' when it did not
+  facts: Facts | None = None  # of its mesh
 
 
 def make_record(
@@ -114,7 +115,7 @@ def run_job(job: Job) -> Outcome:
     UserError: the data set cannot be written: no other model will fare better.
   """
   start = time.perf_counter()
-  stats, reason = None, ''
+  stats, facts, reason = None, None, ''
   try:
     arrays = dataset_lib.open_arrays(job.root)
     try:
@@ -123,14 +124,14 @@ def run_job(job: Job) -> Outcome:
       reason = str(e)
     else:
       dataset_lib.write_record(arrays, job.row, record)
-      stats = made
+      stats, facts = made, record.facts
   except UserError:
     raise
   except MemoryError:
     reason = NO_MEMORY
   except Exception as e:  # one file that some library chokes on must not stop the run
     reason = f'{type(e).__name__}: {e}'
-  return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()))
+  return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()), facts)
 
 
 def _make(job: Job) -> tuple[Record, FlowStats]:

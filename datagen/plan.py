@@ -13,7 +13,7 @@ from datagen.pipeline import Settings
 from datagen.sources import SourceModel
 from datagen.splits import read_splits, split_of
 
-VERSION = 3  # of what is generated: the same settings and version give the same bytes
+VERSION = 4  # of what is generated: the same settings and version give the same bytes
 
 
 def list_models(

@@ -64,7 +64,7 @@ def test_a_good_model_is_not_suspected():
     ({'voxels': 12}, 'almost empty (12 voxels)'),
     ({'color_spread': 0.001}, 'all of one colour'),
     ({'volume': -0.5}, 'inside out (signed volume -0.50 of its box)'),
-    ({'missing': 2}, '2 files of textures or materials missing'),
+    ({'missing': 2}, '2 files or materials missing'),
   ],
 )
 def test_suspicions(change, reason):

@@ -17,7 +17,7 @@ from PIL import Image
 from cvn import dataset as dataset_lib
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen import generate, pipeline, plan
+from datagen import generate, notes, pipeline, plan
 from datagen.pipeline import Job, Outcome, Settings, make_record, run_jobs
 from datagen.sources import SourceModel
 from datagen.sources.mesh_folder import load
@@ -150,6 +150,22 @@ def test_a_data_set_made_otherwise_is_not_touched(generated, meshes, threads, mo
   with pytest.raises(UserError, match=message):
     generate.run(parsed(*arguments(meshes, generated[1], *more)))
   assert contents(generated[1]) == before
+
+
+def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
+  (tmp_path / 'in').mkdir()
+  solid = 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl {}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n'
+  (tmp_path / 'in' / 'x.mtl').write_text('newmtl Wood\nKd 1 0 0\n')
+  for name, material in (('a', 'Wood'), ('b', 'wood'), ('c', 'oak')):
+    (tmp_path / 'in' / f'{name}.obj').write_text('mtllib x.mtl\n' + solid.format(material))
+  generate.run(parsed(*arguments(tmp_path / 'in', tmp_path / 'out')))
+  out = capsys.readouterr().out
+  assert '1 models name files or materials that are not there\n' in out
+  assert f'1 models: {notes.MATERIAL_GUESSED}\n' in out
+  dataset = dataset_lib.open_dataset(str(tmp_path / 'out'))
+  facts = [dataset_lib.read_record(dataset, row).facts for row in range(3)]
+  assert [f.missing for f in facts] == [0, 0, 1]
+  assert [notes.from_bits(f.notes) for f in facts] == [(), (notes.MATERIAL_GUESSED,), ()]
 
 
 def test_all_failed(tmp_path, threads):

@@ -1,13 +1,13 @@
-"""Source `meshes`: every mesh file of a folder and its subfolders (datagen/reading.py)."""
+"""Source `meshes`: every mesh file of a folder and its subfolders (datagen/reading)."""
 
 import os
 import zlib
 from collections import Counter
 
 from cvn.errors import UserError
-from datagen.files import folder_files
 from datagen.mesh import TexturedMesh
 from datagen.reading import EXTENSIONS, read_mesh
+from datagen.reading.files import folder_files
 from datagen.sources import SourceModel
 
 
