@@ -32,6 +32,7 @@ from datagen.examine import flow_stats
 from datagen.facts import facts_of
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
 from datagen.limits import call_within
+from datagen.placement import stand_up
 from datagen.render import render
 from datagen.sources import SourceModel
 from datagen.voxelize import voxelize
@@ -144,7 +145,8 @@ def _make(job: Job) -> tuple[Record, FlowStats]:
       grid_size=job.settings.grid_size,
     )
     return record, flow_stats(record, job.settings.similarity)
-  return make_record(source.load(job.model), job.settings)
+  mesh = stand_up(source.load(job.model), job.model.up, job.model.turn)
+  return make_record(mesh, job.settings)
 
 
 def run_jobs(

@@ -68,7 +68,8 @@ def read_dae(content: bytes, around: Surroundings) -> Iterator[Part]:
       geometry, move, matrix = _controlled(node.controller, joints, matrix, around.notes)
     elif not isinstance(node, scene.GeometryNode):
       continue
-    key = (id(node.geometry) if move is None else id(node), *map(id, _targets(node).values()))
+    skinned = isinstance(node, scene.ControllerNode)
+    key = (id(node) if skinned else id(geometry), *map(id, _targets(node).values()))
     if key not in known:
       known[key] = list(_parts(document, geometry, node, move, around))
     for part in known[key]:
