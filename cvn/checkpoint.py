@@ -14,6 +14,7 @@ and the step that follows donates the buffers it would be read from.
 import contextlib
 import json
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -26,14 +27,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-# What runs did that were begun before there was a setting.
-_BEFORE = {
-  'dtype': 'float32',
-  'heads': 'dense',
-  'source': [],
-  'fresh_statistics': 0,
-  **dict.fromkeys(('shape_loss', 'surface_distance', 'sample', 'schedule', 'mirror', 'recolor')),
-}
+NOT_COMPARED = ('data',)  # where the data set lay; its digest is what identifies it
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
@@ -47,18 +41,33 @@ def start(workdir: str, config: dict[str, Any]) -> None:
   Raises:
     UserError: the folder holds another run, or cannot be written.
   """
-  config = json.loads(json.dumps({'format': FORMAT, **config}))
+  config = {'format': FORMAT, **config}
   path = os.path.join(workdir, 'config.json')
-  if not os.path.lexists(path):
-    with files.atomic_write(path) as temporary, open(temporary, 'w') as f:
-      f.write(json.dumps(config, indent=1) + '\n')
+  if os.path.lexists(path):
+    compare(workdir, read_config(workdir), config)
     return
-  old, new = _BEFORE | read_config(workdir), _BEFORE | config
-  for name in new | old:
-    if old.get(name) != new.get(name):
+  with files.atomic_write(path) as temporary, open(temporary, 'w') as f:
+    f.write(json.dumps(config, indent=1) + '\n')
+
+
+def compare(place: str, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+  """Checks that what was made has the configuration that is asked for, field by field.
+
+  Args:
+    place: the folder or file of what was made, for the message.
+    stored: the configuration it was made with; JSON values.
+    asked: the configuration that is wanted.
+
+  Raises:
+    UserError: a field differs; the message has its name, both values and the way out.
+  """
+  asked = json.loads(json.dumps(asked))
+  for name in {**stored, **asked}:
+    if name not in NOT_COMPARED and stored.get(name) != asked.get(name):
+      old, new = (_show(name, config) for config in (stored, asked))
       raise UserError(
-        f'{workdir} was begun with {name}={old.get(name)}, not {new.get(name)}:'
-        f' keep {name} as it was, or take another workdir'
+        f'{place} was made with {name}={old}, not {new}: keep {name} as it was, name another'
+        f' --workdir, or delete {place}'
       )
 
 
@@ -178,6 +187,12 @@ def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, A
     return ocp.load_checkpointables(path, {'variables': abstract})['variables']
 
   return config, _load(workdir, step, load)
+
+
+def _show(name: str, config: Mapping[str, Any]) -> Any:
+  """A field's value; a data set's digest with the place where the data set lay."""
+  value = config.get(name)
+  return f'{value} ({config.get("data")})' if name == 'data_digest' else value
 
 
 def _to_checkpointables(state):

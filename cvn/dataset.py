@@ -21,6 +21,7 @@ each view is a chunk of its own: a view is read alone. No two models share a fil
 processes may write their own models at the same time, and a model is there only when it is whole.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -280,6 +281,23 @@ def surface_counts(dataset: Dataset) -> np.ndarray:
   """[N] surface voxels of each row; 0 where the model is not made."""
   counts = np.asarray(dataset.arrays['surface_count'].read().result())
   return counts[: len(dataset.manifest.models)]  # arrays are extended before the manifest is
+
+
+def digest(dataset: Dataset, rows: Sequence[int]) -> str:
+  """What identifies some models of a data set, wherever it lies: 16 hexadecimal digits.
+
+  Two data sets agree where their models have the same names, categories, splits, sources and
+  numbers of voxels in the same order, and the same views and settings of the generator. Models that
+  are planned later, and are not among the rows, change nothing.
+
+  Args:
+    dataset: the open data set.
+    rows: of the models.
+  """
+  m, counts = dataset.manifest, surface_counts(dataset)
+  told = [m.settings, m.azimuths, m.image_size, m.grid_size]
+  told += [[*m.models[r][:4], int(counts[r])] for r in rows]
+  return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def read_json(root: str, name: str):

@@ -1,47 +1,65 @@
-"""Settings of the process that make the programs faster. They apply them; nothing needs them.
+"""Optional process-level speed-ups: memory that is kept, and a compilation cache.
 
-Memory: a training step frees gigabytes that the next one asks for again. The C library gives them
-back to the system each time, which then has to map and clear every page anew. A small library
-(blocks.cc, compiled once like the kernels) keeps large blocks instead, in huge pages; because it
-must be loaded before all else, a program that prepares itself starts itself once more under it.
-Whoever sets LD_PRELOAD has decided otherwise and is left alone; CVN_KERNELS=off does without, too.
+A training step frees gigabytes that the next step asks for again. By default the GNU C library
+returns such blocks to the system, which then has to map and clear every page anew. `keep_memory`
+changes the C library's settings within the process: one heap, in huge pages, that never shrinks.
+A user who sets LD_PRELOAD, GLIBC_TUNABLES or a variable MALLOC_* has chosen other settings, which
+then stay.
 
-Compiled programs: JAX keeps them in $XDG_CACHE_HOME/cvn/jax (~/.cache/cvn/jax), so that the first
-step of the next run takes seconds. JAX_COMPILATION_CACHE_DIR names another folder, and
-JAX_ENABLE_COMPILATION_CACHE=false does without.
+JAX keeps compiled programs in $XDG_CACHE_HOME/cvn/jax (~/.cache/cvn/jax), so the first step of the
+next run takes seconds. JAX_COMPILATION_CACHE_DIR names another folder, and
+JAX_ENABLE_COMPILATION_CACHE=false switches it off.
 """
 
+import ctypes
 import os
 import pathlib
 import platform
-import subprocess
 import sys
 
 import jax
 
-from cvn.ops import native
+# Parameters of mallopt (malloc.h) and of madvise.
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_MAX, _ARENA_MAX = -1, -2, -4, -8
+_MADV_HUGEPAGE = 14
+_HUGE_PAGE = 2 << 20  # bytes
+_SMALLEST_HEAP = 256 << 20  # bytes
 
 
 def prepare() -> None:
-  """Applies all settings to this process, which may start again; call it first of all."""
+  """Applies all settings to this process; call it before the first computation."""
   keep_memory()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
 
 
-def keep_memory() -> None:
-  """Starts this program again with large blocks kept, where that is possible and not yet so."""
-  off = os.environ.get('CVN_KERNELS') == 'off' or 'LD_PRELOAD' in os.environ
-  if off or sys.platform != 'linux' or libc() != 'glibc':
-    return
-  try:
-    library = native.build(source=native.BLOCKS)
-  except (OSError, subprocess.SubprocessError):
-    return  # the kernels have the same trouble, and tell
-  os.environ['LD_PRELOAD'] = str(library)
-  os.environ.setdefault('GLIBC_TUNABLES', 'glibc.malloc.hugetlb=1')  # for the smaller ones
-  sys.stdout.flush()
-  os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+def keep_memory() -> bool:
+  """Makes the C library keep freed memory for the next request; returns whether it does.
+
+  Large blocks come from the heap instead of mappings of their own, all threads share one heap, and
+  the heap never shrinks. Half of the machine's memory is reserved as address space, so that huge
+  pages can be asked for; pages that nobody touches take no memory.
+  """
+  chosen = any(v in ('LD_PRELOAD', 'GLIBC_TUNABLES') or v.startswith('MALLOC_') for v in os.environ)
+  if chosen or sys.platform != 'linux' or libc() != 'glibc':
+    return False
+  c = ctypes.CDLL(None)
+  c.malloc.restype, c.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+  c.free.restype, c.free.argtypes = None, [ctypes.c_void_p]
+  c.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+  settings = ((_ARENA_MAX, 1), (_MMAP_MAX, 0), (_TRIM_THRESHOLD, -1), (_TOP_PAD, 64 << 20))
+  if not all([c.mallopt(*setting) for setting in settings]):
+    return False
+  size = os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') // 2
+  while size >= _SMALLEST_HEAP:
+    start = c.malloc(size)
+    if start:
+      first = -(-start // _HUGE_PAGE) * _HUGE_PAGE
+      c.madvise(first, start + size - first, _MADV_HUGEPAGE)  # only advice: it may fail
+      c.free(start)
+      break
+    size //= 2
+  return True
 
 
 def keep_programs(folder: str | os.PathLike) -> bool:

@@ -3,9 +3,15 @@
 import contextlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 
 from cvn.errors import UserError
+
+try:
+  import fcntl
+except ImportError:  # not a POSIX system
+  fcntl = None
 
 
 @contextlib.contextmanager
@@ -33,3 +39,30 @@ def atomic_write(path: str) -> Iterator[str]:
   finally:
     with contextlib.suppress(FileNotFoundError):
       os.unlink(temporary)
+
+
+@contextlib.contextmanager
+def locked(path: str | os.PathLike, *, seconds: float = 60) -> Iterator[None]:
+  """Lets one process at a time run the body, as far as that is possible.
+
+  The body runs without the lock if the file cannot be made, if its system has no locks, or if
+  another process holds the lock for too long: it may have been stopped.
+
+  Args:
+    path: of the lock, an empty file that stays.
+    seconds: how long to wait for another process.
+  """
+  with contextlib.ExitStack() as stack:
+    with contextlib.suppress(OSError, AttributeError):
+      os.makedirs(os.path.dirname(path), exist_ok=True)
+      file = stack.enter_context(open(path, 'w'))
+      deadline = time.monotonic() + seconds
+      while True:
+        try:
+          fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+          break
+        except BlockingIOError:
+          if time.monotonic() > deadline:
+            break
+          time.sleep(0.1)
+    yield

@@ -190,7 +190,9 @@ def run_jobs(
             suspects.append(job)
         if not running:
           break
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
+        # What ran out of memory goes first: what failed after it may be done at the same time.
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for future in sorted(done, key=lambda future: not _ran_out_of_memory(future)):
           job = running.pop(future)
           try:
             outcome = future.result()
@@ -215,6 +217,12 @@ def run_jobs(
       executor.shutdown()
     while suspects:
       yield _run_alone(suspects.popleft(), make_executor)
+
+
+def _ran_out_of_memory(future):
+  if future.cancelled() or future.exception() is not None:
+    return False
+  return future.result().reason == NO_MEMORY
 
 
 def _run_alone(job: Job, make_executor: Callable[[int], Executor]) -> Outcome:

@@ -4,7 +4,7 @@ python -m experiments.collection --sweethome3d=/usr/share/sweethome3d --humans=A
 
 DIR/objects holds the cars, chairs, guitars, people and tables of Sweet Home 3D's libraries, and as
 many procedural ones as --procedural says; programs tell the two apart by --source. DIR/people holds
-made people alone, for the experiments on articulated objects.
+made people alone, for the experiments on articulated objects. DIR/collection.json has the command.
 
 The real models are few, so a hash of their names would leave some categories without any for
 testing: each category's families of models are ranked by hash, and the first fifth is for testing,
@@ -13,6 +13,7 @@ datagen.generate does by itself. Of the paper's people none are for validation, 
 more are made for it, of another seed. The same command again makes only what is missing.
 """
 
+import json
 import os
 
 from absl import flags
@@ -20,10 +21,11 @@ from absl import flags
 from cvn import errors
 from cvn.dataset import read_json, to_url
 from cvn.errors import UserError
+from cvn.files import atomic_write
 from datagen.plan import list_models
 from datagen.sources import sweethome3d
 from datagen.splits import ranked_splits, write_splits
-from experiments.stages import run_program
+from experiments.lib.stages import argv, run_program
 
 CATEGORIES = ('car', 'chair', 'guitar', 'human', 'table')
 VALIDATION_SEED = 1  # of the people that are for validation
@@ -72,6 +74,9 @@ def run(f: flags.FlagValues) -> None:
     models = list_models('humans', ['human'], f.humans, *more.values())
     write_splits(lists, 'human', {m.id: 'val' for m in models})
     generate(f, people, 'humans', ['human'], input=f.humans, splits=lists, **more)
+  with atomic_write(os.path.join(f.output, 'collection.json')) as temporary:
+    with open(temporary, 'w') as out:
+      json.dump({'argv': argv()}, out, indent=1)
 
 
 def write_ranked_splits(libraries: str, folder: str) -> None:

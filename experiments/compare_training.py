@@ -19,9 +19,15 @@ from absl import flags
 
 from cvn import errors
 from cvn.files import atomic_write
-from experiments.stages import read_bytes, read_json, run_program
+from experiments.lib import differences, markdown, pictures, runs
+from experiments.lib.runs import Run
+from experiments.lib.stages import read_bytes
 
-VARIANTS = {'float32': {}, 'mixed': {'dtype': 'mixed'}, 'surface': {'heads': 'surface'}}
+VARIANTS = {
+  'float32': {'dtype': 'float32'},
+  'mixed': {'dtype': 'mixed'},
+  'surface': {'dtype': 'float32', 'heads': 'surface'},
+}
 SHAPE_VARIANTS = ('float32', 'mixed')
 STYLES = dict(zip(VARIANTS, ('-', '--', ':'), strict=True))  # float32 and mixed lie on each other
 MEASURES = {
@@ -37,6 +43,7 @@ class Training(NamedTuple):
   network: str
   variant: str
   seed: str
+  run: Run
   curve: list[tuple[float, float]]  # (epoch, mean loss of the steps of that epoch)
   validated: list[tuple[float, float]]  # (epoch, loss on the split val)
   measured: dict[str, float | None]  # on the split test
@@ -63,48 +70,74 @@ def main(_) -> None:
 
 def run(f: flags.FlagValues) -> None:
   """Trains, evaluates, prints and draws as the flags say."""
+  options = {
+    'epochs': 1 if f.quick else f.epochs,
+    'batch_size': f.batch_size,
+    'learning_rate': f.learning_rate,
+  }
   trainings = [
-    train(f, network, variant, seed)
+    train(f.data, f.workdir, network, variant, seed, **options)
     for network in f.network
     for seed in f.seeds
     for variant in f.variant
     if network == 'color' or variant in SHAPE_VARIANTS
   ]
   print('\n' + to_table(trainings))
-  path = os.path.join(f.workdir, 'loss.png')
-  draw(trainings, path)
-  print(f'\nloss curves: {path}')
+  stem = os.path.join(f.workdir, 'loss')
+  draw(trainings, f'{stem}.png')
+  used = [t.run for t in trainings]
+  caption = 'Lines: the loss in training; dots: the loss on the split val.'
+  caption += f' {differences.say_training(used)}'
+  pictures.write_facts(stem, caption, {'data': f.data, 'runs': runs.to_json(used)})
+  print(f'\nloss curves: {stem}.png')
 
 
-def train(f: flags.FlagValues, network: str, variant: str, seed: str) -> Training:
-  """Trains and evaluates one network, or what is missing of it."""
-  epochs = 1 if f.quick else f.epochs
-  name = f'{network}_{variant}_{seed}'
-  workdir, report = (os.path.join(f.workdir, n) for n in (name, f'{name}.json'))
-  run_program(
-    f.workdir,
-    'experiments.train',
+def train(
+  data: str,
+  folder: str,
+  network: str,
+  variant: str,
+  seed: str,
+  *,
+  epochs: int,
+  batch_size: int,
+  learning_rate: float,
+) -> Training:
+  """Trains and evaluates one network, or what is missing of it.
+
+  Args:
+    data: the data set.
+    folder: of all that is made.
+    network: a key of `MEASURES`.
+    variant: a key of `VARIANTS`.
+    seed: of everything random.
+    epochs: of the training.
+    batch_size: views a step.
+    learning_rate: the first one.
+  """
+  workdir = os.path.join(folder, f'{network}_{variant}_{seed}')
+  run = runs.train(
+    folder,
     network=network,
-    data=f.data,
+    data=data,
     workdir=workdir,
     epochs=epochs,
-    batch_size=f.batch_size,
-    learning_rate=f.learning_rate,
+    batch_size=batch_size,
+    learning_rate=learning_rate,
     seed=seed,
     log_every=10**6,  # then a line is an epoch's
     validate_every=max(1, epochs // 6),
     validation_views=VALIDATION_VIEWS,
     **VARIANTS[variant],
   )
-  trained_at = os.path.getmtime(os.path.join(workdir, 'checkpoints'))
-  if not os.path.exists(report) or os.path.getmtime(report) < trained_at:
-    run_program(f.workdir, 'experiments.evaluate', data=f.data, json=report, **{network: workdir})
+  report = runs.evaluate(folder, data=data, json=f'{workdir}.json', **{network: workdir})
   lines = [json.loads(x) for x in read_bytes(os.path.join(workdir, 'log.jsonl')).splitlines()]
-  measured = read_json(report)['networks']['total']
+  measured = report['networks']['total']
   return Training(
     network,
     variant,
     seed,
+    run,
     [(x['epoch'], x['loss']) for x in lines if 'loss' in x],
     [(x['epoch'], x['validation']['loss']) for x in lines if 'validation' in x],
     {key: measured[key] for key, *_ in MEASURES[network]},
@@ -113,20 +146,16 @@ def train(f: flags.FlagValues, network: str, variant: str, seed: str) -> Trainin
 
 def to_table(trainings: list[Training]) -> str:
   """A Markdown table: a row a training, the measures on held-out models."""
-  lines = [
-    '| network | variant | seed | loss, last epoch | on val | on test |',
-    '| --- | --- | --- | --- | --- | --- |',
-  ]
+  head = ('network', 'variant', 'seed', 'loss, last epoch', 'on val', 'on test')
+  lines = []
   for t in trainings:
     measured = ', '.join(
       f'{title} {"none" if t.measured[key] is None else format(t.measured[key], form)}'
       for key, title, form in MEASURES[t.network]
     )
     validated = f'{t.validated[-1][1]:.4f}' if t.validated else 'none'
-    lines.append(
-      f'| {t.network} | {t.variant} | {t.seed} | {t.curve[-1][1]:.4f} | {validated} | {measured} |'
-    )
-  return '\n'.join(lines)
+    lines.append((t.network, t.variant, t.seed, f'{t.curve[-1][1]:.4f}', validated, measured))
+  return markdown.table(head, lines)
 
 
 def draw(trainings: list[Training], path: str) -> None:

@@ -9,7 +9,7 @@ out. The exit status is 1 when that is not better than the trivial baselines.
 
 import json
 import os
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from absl import flags
@@ -20,8 +20,12 @@ from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from experiments import demo_page
-from experiments.scoring import to_voxels
-from experiments.stages import read_bytes, read_json, run_program, seconds_of
+from experiments.lib import assets, picks, runs
+from experiments.lib.picks import Pick
+from experiments.lib.runs import Run
+from experiments.lib.scoring import to_voxels
+from experiments.lib.stages import read_bytes, read_json, run_program, seconds_of
+from experiments.lib.training import DTYPE_CHOICES
 
 # Pictures show the object's front at different angles: these views of the data set, in turn.
 PICTURE_VIEWS = (1, 11, 2, 10)
@@ -39,15 +43,6 @@ MEASURES = (
 )
 
 
-class Picture(NamedTuple):
-  """A held-out view to reconstruct."""
-
-  row: int  # of the data set
-  view: int
-  name: str  # of its file, without the suffix
-  title: str
-
-
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
@@ -58,6 +53,7 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('color_epochs', 32, 'Of the colour network.', lower_bound=1, **own)
   flags.DEFINE_integer('batch_size', 12, 'Views a training step.', lower_bound=1, **own)
   flags.DEFINE_float('learning_rate', 1e-3, "Higher than the paper's: time is short.", 0, **own)
+  flags.DEFINE_enum('dtype', 'auto', DTYPE_CHOICES, 'As of experiments.train.', **own)
   flags.DEFINE_integer('pictures', 6, 'Held-out pictures to reconstruct.', 1, 8, **own)
   flags.DEFINE_integer('workers', 2, 'Processes that make objects.', lower_bound=1, **own)
   flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
@@ -92,7 +88,7 @@ def run(f: flags.FlagValues) -> int:
       'experiments.train',
       network=network,
       recipe='best',
-      dtype='mixed',
+      dtype=f.dtype,
       fresh_statistics=FRESH_STATISTICS,
       data=folder['data'],
       workdir=folder[network],
@@ -112,16 +108,16 @@ def run(f: flags.FlagValues) -> int:
     **{'data': folder['data'], 'baselines': 'true', 'json': evaluation, **best, **on_val},
   )
   best |= {k: read_json(evaluation)[k] for k in ('threshold', 'alpha')}
-  pictures = choose_pictures(dataset, f.pictures)
-  files = [write_picture(dataset, p, folder['pictures']) for p in pictures]
+  shown = choose(dataset, f.pictures)
+  files = [write_picture(dataset, p, folder['pictures']) for p in shown]
   stage('experiments.reconstruct', image=','.join(files), output=folder['models'], **best)
 
   table, success, verdict = judge(read_json(evaluation))
   page = demo_page.Page(
-    about=about(dataset, f),
+    about=about(dataset, [runs.read(w) for w in networks.values()]),
     verdict=verdict,
     success=success,
-    examples=[make_example(dataset, p, folder['models'], f.output) for p in pictures],
+    examples=[make_example(dataset, p, folder['models'], f.output) for p in shown],
     table=table,
     curves=[
       *read_curves('shape', os.path.join(folder['shape'], 'log.jsonl')),
@@ -137,7 +133,7 @@ def run(f: flags.FlagValues) -> int:
   return int(not success)
 
 
-def choose_pictures(dataset: Dataset, count: int) -> list[Picture]:
+def choose(dataset: Dataset, count: int) -> list[Pick]:
   """Views of the first held-out objects.
 
   Raises:
@@ -146,30 +142,29 @@ def choose_pictures(dataset: Dataset, count: int) -> list[Picture]:
   rows = data.select_rows(dataset, 'test')[:count]
   if len(rows) == 0:
     raise UserError('no object fell into the held-out split test: make more (--limit)')
-  pictures = []
-  for k, row in enumerate(rows):
-    view = PICTURE_VIEWS[k % len(PICTURE_VIEWS)]
-    azimuth = dataset.manifest.azimuths[view]
-    name = dataset.manifest.models[row].id
-    pictures.append(
-      Picture(int(row), view, f'{name}_{azimuth:g}', f'{name}, seen from {azimuth:g}°')
-    )
-  return pictures
+  return [
+    picks.of(dataset, row, PICTURE_VIEWS[k % len(PICTURE_VIEWS)]) for k, row in enumerate(rows)
+  ]
 
 
-def write_picture(dataset: Dataset, picture: Picture, folder: str) -> str:
+def name_of(pick: Pick) -> str:
+  """The name of a pick's files, without suffix."""
+  return f'{pick.model.id}_{pick.azimuth:g}'
+
+
+def write_picture(dataset: Dataset, pick: Pick, folder: str) -> str:
   """A view as a PNG file with alpha; returns its name."""
-  path = os.path.join(folder, f'{picture.name}.png')
-  view = read_record(dataset, picture.row).views[picture.view]
+  path = os.path.join(folder, f'{name_of(pick)}.png')
+  view = read_record(dataset, pick.row).views[pick.view]
   with atomic_write(path) as temporary:
     Image.fromarray(view).save(temporary)
   return path
 
 
-def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
+def make_example(dataset: Dataset, pick: Pick, models: str, output: str):
   """What the page shows of a picture."""
-  stem = os.path.join(models, picture.name)
-  record = read_record(dataset, picture.row)
+  stem = os.path.join(models, name_of(pick))
+  record = read_record(dataset, pick.row)
   truth = to_voxels(record, dataset.manifest.grid_size)
   azimuths = (figures.PANEL_AZIMUTH, *figures.RESULT_AZIMUTHS)
   blank = np.full((192, 192, 3), 255, np.uint8)  # so that the truth stands below the result
@@ -178,9 +173,9 @@ def make_example(dataset: Dataset, picture: Picture, models: str, output: str):
     column_titles=['', *(f'truth from {a}°' for a in azimuths)],
   )
   return demo_page.Example(
-    picture.title,
+    f'{pick.model.id}, seen from {pick.azimuth:g}°',
     read_bytes(f'{stem}.png'),
-    demo_page.to_png(drawn),
+    assets.to_png(drawn),
     read_bytes(f'{stem}.glb'),
     [os.path.relpath(f'{stem}.{suffix}', output) for suffix in ('glb', 'ply', 'png')],
   )
@@ -233,12 +228,14 @@ def judge(evaluation: dict) -> tuple[demo_page.Table, bool, str]:
   return table, all(better), f'{start} on {views}: {said}.'
 
 
-def about(dataset: Dataset, f: flags.FlagValues) -> str:
+def about(dataset: Dataset, trained: Sequence[Run]) -> str:
   """What a reader must know to judge the page."""
   train, test = (len(data.select_rows(dataset, split)) for split in ('train', 'test'))
+  names = sorted({m.category for m in dataset.manifest.models})
+  epochs = ' and '.join(f'{runs.epochs_of(run):.4g}' for run in trained)
   return (
-    f'{train} made-up {f.category}s to learn from, {test} held out;'
-    f' {f.shape_epochs} and {f.color_epochs} epochs of training (one view an object and epoch),'
+    f'{train} made-up {" and ".join(f"{name}s" for name in names)} to learn from, {test} held out;'
+    f' {epochs} epochs of training (one view an object and epoch),'
     ' all from nothing and on this computer. It shows that the whole chain works and that the'
     ' networks learn; it is no measure of what they reach: the paper trains 500 epochs on up to'
     ' 2372 models a category. No held-out object was seen in training, and the examples are the'

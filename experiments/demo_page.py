@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import matplotlib.figure
-import numpy as np
-from PIL import Image
 
-from experiments import viewer
+from experiments.lib import assets, viewer
 
 
 class Example(NamedTuple):
@@ -75,14 +73,13 @@ def render(page: Page) -> str:
     f'<h2>Commands, {_minutes(total)} in all</h2>',
     *(f'<pre>{html.escape(c)}   # {_minutes(s)}</pre>' for c, s in page.commands),
   ]
-  return _DOCUMENT.replace('{body}', '\n'.join(parts)).replace('{viewer}', viewer.SCRIPT)
-
-
-def to_png(image: np.ndarray) -> bytes:
-  """A uint8 image [H, W, 3] as the bytes of a PNG file."""
-  file = io.BytesIO()
-  Image.fromarray(image).save(file, 'png')
-  return file.getvalue()
+  return assets.fill(
+    'experiments',
+    'demo.html',
+    style=assets.read('experiments', 'demo.css'),
+    body='\n'.join(parts),
+    script=viewer.SCRIPT,
+  )
 
 
 def _example(index: int, example: Example) -> str:
@@ -138,45 +135,3 @@ def _data_uri(png: bytes) -> str:
 
 def _minutes(seconds: float) -> str:
   return f'{seconds / 60:.1f} min' if seconds >= 60 else f'{seconds:.0f} s'
-
-
-_DOCUMENT = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>One picture in, a coloured 3D model out</title>
-<style>
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 2em auto;
-  max-width: 1240px; padding: 0 1em; }
-h1, h2, h3 { line-height: 1.2; }
-h2 { margin-top: 2em; border-bottom: 1px solid #ddd; padding-bottom: .2em; }
-h3 { margin: 1.5em 0 .3em; }
-small { font-weight: normal; margin-left: 1em; }
-.verdict { padding: .6em 1em; border-left: 6px solid; }
-.good { background: #eef7ee; border-color: #3a9a4b; }
-.bad { background: #fbeeee; border-color: #c43c3c; }
-.example { display: flex; gap: 1em; align-items: center; }
-.example > div { flex: 1; min-width: 0; }
-.viewer { width: 400px; height: 400px; flex: none; background: #f5f5f5; border-radius: 6px;
-  cursor: grab; touch-action: none; }
-.wide { max-width: 100%; display: block; }
-table { border-collapse: collapse; }
-th, td { padding: .35em 1em; text-align: right; border-bottom: 1px solid #ddd;
-  font-weight: normal; }
-th:first-child { text-align: left; }
-td { font-variant-numeric: tabular-nums; }
-.best { font-weight: bold; }
-.curves { display: flex; flex-wrap: wrap; gap: 1em; }
-.curves svg { width: 390px; height: auto; }
-pre { background: #f5f5f5; padding: 1em; white-space: pre-wrap; overflow-wrap: anywhere;
-  font-size: 13px; margin: .5em 0; }
-</style>
-</head>
-<body>
-<h1>One picture in, a coloured 3D model out</h1>
-{body}
-<script>{viewer}</script>
-</body>
-</html>
-"""

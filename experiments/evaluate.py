@@ -27,54 +27,16 @@ import numpy as np
 from absl import flags, logging
 from tqdm import tqdm
 
-from cvn import baselines, blending, data, environment, errors, methods, metrics
-from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
+from cvn import baselines, blending, data, environment, errors, methods
+from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from experiments import scoring
-from experiments.scoring import METRICS, Baseline, Network
+from experiments.lib import scoring
+from experiments.lib.evaluation import ALPHAS, define_flags, make_options
+from experiments.lib.scoring import METRICS, Baseline, Network
+from experiments.lib.stages import argv
 
 UNKNOWN_CAMERA = 'im2avatar_release'  # the source of models whose views have another camera
-ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
-
-
-def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
-  own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('shape', None, 'The workdir of the network for shapes.', **own)
-  flags.DEFINE_string('color', None, 'The workdir of the network for colours.', **own)
-  flags.DEFINE_enum('split', 'test', SPLITS, 'The models to evaluate on.', **own)
-  flags.DEFINE_list('category', [], 'Categories to evaluate on; all of them by default.', **own)
-  flags.DEFINE_list('source', [], 'Sources of models to evaluate on; all by default.', **own)
-  flags.DEFINE_string(
-    'threshold',
-    None,
-    "From which score on a voxel is occupied; 'val' chooses it on the split val. By default"
-    f' {metrics.OCCUPIED}, of r2n2 {methods.THRESHOLDS["r2n2"]}.',
-    **own,
-  )
-  flags.DEFINE_string(
-    'alpha',
-    str(blending.ALPHA),
-    "In (0, 1]: the smaller, the more the sampled colours count; 'val' chooses it on the split val,"
-    f' of {", ".join(map(str, ALPHAS))}.',
-    **own,
-  )
-  flags.DEFINE_bool(
-    'flip', False, 'Take means with what the networks say of the mirrored views.', **own
-  )
-  flags.DEFINE_bool(
-    'carve',
-    False,
-    "Carve shapes by the views' silhouettes; the azimuth is told from the estimated shape.",
-    **own,
-  )
-  flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines, too.', **own)
-  flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
-  flags.mark_flag_as_required('data', f)
-  flags.register_validator('alpha', is_alpha, "must be in (0, 1], or 'val'", f)
-  flags.register_validator('threshold', is_threshold, "must be a number or 'val'", f)
 
 
 def main(_) -> int:
@@ -116,32 +78,14 @@ def run(f: flags.FlagValues) -> int:
       )
       for row in tqdm(rows, desc=f'evaluate {f.split}', unit='model', disable=None)
     ]
-    told = ('data', 'split', 'shape', 'color', 'flip', 'carve')
-    report = {name: f[name].value for name in told}
-    report |= {'alpha': alpha, 'threshold': threshold} | summarize(dataset, rows, found)
+    report = {'argv': argv(), **{n: f[n].value for n in ('data', 'split', 'shape', 'color')}}
+    report |= {'options': make_options(f, dataset), 'alpha': alpha, 'threshold': threshold}
+    report |= summarize(dataset, rows, found)
     print_report(report)
     if temporary:
       with open(temporary, 'w') as out:
         out.write(json.dumps(report, indent=1, allow_nan=False) + '\n')
   return 0
-
-
-def is_threshold(text: str | None) -> bool:
-  """Whether the flag says something that can be done."""
-  if text in (None, 'val'):
-    return True
-  try:
-    return math.isfinite(float(text))
-  except ValueError:
-    return False
-
-
-def is_alpha(text: str) -> bool:
-  """Likewise."""
-  try:
-    return text == 'val' or 0 < float(text) <= 1
-  except ValueError:
-    return False
 
 
 def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None) -> float:

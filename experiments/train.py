@@ -31,116 +31,21 @@ from cvn import (
   errors,
   grid,
   journal,
-  losses,
-  sampler,
   train,
 )
-from cvn import recipe as recipes
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
-from cvn.networks import NETWORKS
-from cvn.recipe import RECIPES, Recipe
-from experiments.training_pictures import draw_views
+from cvn.recipe import Recipe
+from experiments.lib.training import (
+  define_flags,
+  is_finished,
+  make_config,
+  make_recipe,
+  resolve_dtype,
+)
+from experiments.lib.training_pictures import draw_views
 
 PICTURES = 4  # views drawn at each validation
-SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
-SURFACE_DISTANCES = {
-  'l2': losses.surface_l2,
-  'l1': losses.surface_l1,
-}
-DTYPES = ('float32', 'mixed')
-HEADS = ('dense', 'surface')
-SAMPLERS = {
-  'bilinear': sampler.bilinear,
-  'nearest': sampler.nearest,
-  'foreground': sampler.bilinear_foreground,
-}
-
-
-def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
-  own = {'flag_values': f}
-  flags.DEFINE_enum('network', None, [*NETWORKS], 'Which network.', **own)
-  flags.DEFINE_enum('recipe', 'paper', sorted(RECIPES), 'What to follow where they differ.', **own)
-  flags.DEFINE_enum(
-    'shape_loss', None, [*SHAPE_LOSSES], "Of shapes, instead of the recipe's.", **own
-  )
-  flags.DEFINE_enum(
-    'surface_distance',
-    None,
-    [*SURFACE_DISTANCES],
-    "Of colours and flow, instead of the recipe's.",
-    **own,
-  )
-  flags.DEFINE_enum(
-    'dtype',
-    'float32',
-    DTYPES,
-    'Of the factors in the 3D layers; mixed: bfloat16, while sums, statistics, parameters and'
-    ' optimizer stay float32. Faster on processors and accelerators that multiply bfloat16.',
-    **own,
-  )
-  flags.DEFINE_enum(
-    'heads',
-    'dense',
-    HEADS,
-    "Where the colour network's last layers are computed in training; surface: at surface voxels"
-    ' and their neighbours alone, which is faster, and takes batch statistics there.',
-    **own,
-  )
-  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('workdir', None, "The run's folder.", **own)
-  flags.DEFINE_list('category', [], 'Categories to train on; all of them by default.', **own)
-  flags.DEFINE_list('source', [], 'Sources of models to train on; all by default.', **own)
-  flags.DEFINE_list('validation_source', [], 'Sources of models to validate on; all.', **own)
-  flags.DEFINE_integer('epochs', 500, 'Epochs in all.', lower_bound=1, **own)
-  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
-  flags.DEFINE_float('learning_rate', None, "The first one, instead of the recipe's.", **own)
-  flags.DEFINE_enum(
-    'schedule',
-    None,
-    [*recipes.SCHEDULES],
-    "Of the learning rate, instead of the recipe's: cosine ends at 0 with the last epoch.",
-    **own,
-  )
-  flags.DEFINE_enum(
-    'sample',
-    None,
-    [*SAMPLERS],
-    'How colours are sampled in training, instead of as the recipe does; foreground: the ground is'
-    ' filled with the nearest pixels of the object, as at test time.',
-    **own,
-  )
-  flags.DEFINE_bool(
-    'mirror',
-    None,
-    'Whether half of the views are mirrored, each with its object, instead of as the recipe says.',
-    **own,
-  )
-  flags.DEFINE_bool(
-    'recolor',
-    None,
-    'Whether objects are painted in other colours at random, in views and on surfaces, instead of'
-    ' as the recipe says.',
-    **own,
-  )
-  flags.DEFINE_integer(
-    'fresh_statistics',
-    0,
-    'Training batches over which the statistics of the normalisations are taken anew for'
-    ' validation and at the end; 0 keeps running ones. Small batches and short trainings need it.',
-    lower_bound=0,
-    **own,
-  )
-  flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
-  flags.DEFINE_integer('log_every', 10, 'Steps between lines of the log.', lower_bound=1, **own)
-  flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
-  flags.DEFINE_integer('validation_views', 120, 'At most, each time.', lower_bound=1, **own)
-  flags.DEFINE_float('checkpoint_every', 5, 'Minutes between checkpoints.', 0, **own)
-  flags.mark_flags_as_required(['network', 'data', 'workdir'], f)
-  flags.register_validator(
-    'learning_rate', lambda x: x is None or 0 < x < math.inf, 'must be above 0', f
-  )
 
 
 def main(_) -> int:
@@ -163,9 +68,10 @@ def run(f: flags.FlagValues) -> int:
     mirror=recipe.mirror,
     recolor=recipe.recolor,
   )
+  resolve_dtype(f)
   train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
-  checkpoint.start(f.workdir, make_config(f, recipe, dataset, len(rows)))
+  checkpoint.start(f.workdir, make_config(f, recipe, dataset, rows))
 
   put_batch, put_state = make_placement(f.batch_size)
   state = put_state(train.create_state(jax.random.key(f.seed), f.network))
@@ -181,8 +87,8 @@ def run(f: flags.FlagValues) -> int:
     window = progress['window']
   step = first = int(state.step)
   total = f.epochs * len(batches)
-  if step >= total:
-    print(f'{f.workdir} is trained for {step // len(batches)} epochs: raise --epochs to go on')
+  if is_finished(f.workdir, step, len(batches), f.epochs):
+    print(f'{f.workdir} is trained for {f.epochs} epochs: raise --epochs to go on')
     return 0
   if len(validation) == 0:
     print('no finished model in the split val: training without validation', file=sys.stderr)
@@ -243,20 +149,6 @@ def run(f: flags.FlagValues) -> int:
   return 0
 
 
-def make_recipe(f: flags.FlagValues) -> Recipe:
-  """The recipe that the flags name, with what they change in it."""
-  choices = {
-    'shape_loss': SHAPE_LOSSES,
-    'surface_distance': SURFACE_DISTANCES,
-    'sample': SAMPLERS,
-    'schedule': recipes.SCHEDULES,
-  }
-  names = (*choices, 'learning_rate', 'mirror', 'recolor')
-  asked = {name: f[name].value for name in names if f[name].value is not None}
-  chosen = {name: choices[name][x] if name in choices else x for name, x in asked.items()}
-  return RECIPES[f.recipe]._replace(**chosen)
-
-
 def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
   """The step that the flags ask for.
 
@@ -293,19 +185,6 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   if count > f.batch_size:
     count -= count % f.batch_size
   return data.evaluation_pairs(rows, views, count)
-
-
-def make_config(f: flags.FlagValues, recipe: Recipe, dataset: Dataset, models: int) -> dict:
-  """All that a resumed run must share with the one it continues."""
-  names = (
-    *('network', 'recipe', 'shape_loss', 'surface_distance', 'sample', 'dtype', 'heads'),
-    *('category', 'source'),
-    *('batch_size', 'learning_rate', 'schedule', 'mirror', 'recolor'),
-    *('fresh_statistics', 'seed'),
-  )
-  config = {**{n: f[n].value for n in names}, 'data': dataset.root, 'models': models}
-  # A schedule that ends with the training is another one where that is longer.
-  return config | ({'epochs': f.epochs} if recipe.schedule is recipes.cosine else {})
 
 
 def make_placement(batch_size: int):

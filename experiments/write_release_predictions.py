@@ -26,7 +26,7 @@ from cvn import blending, checkpoint, data, environment, errors, reconstruct
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from datagen import release
-from experiments import scoring
+from experiments.lib import scoring
 
 
 def define_flags(f: flags.FlagValues) -> None:

@@ -2,10 +2,13 @@
 
 import numpy as np
 import synthetic
+import workdirs
 from absl import flags
 
 from cvn.grid import ColoredVoxels
-from experiments import study_shapes, user_study
+from experiments.lib.runs import Run
+from experiments.study import __main__ as user_study
+from experiments.study import shapes as study_shapes
 
 COLORS = {'blended_0.2': (0.9, 0.2, 0.2), 'regression': (0.2, 0.9, 0.2), 'flow': (0.2, 0.2, 0.9)}
 SIZE = 48  # pixels of drawings
@@ -45,16 +48,21 @@ def without_networks(monkeypatch) -> list:
   """Makes predictors of boxes; returns the list that (method, trained on, seed) are added to."""
   asked = []
 
-  def make_predictor(f, method, category, seed):
+  def make_predictor(plan, method, category, seed):
     asked.append((method, category, seed))
     return lambda views: [make_box(method)] * len(views)
 
+  def train(plan, training, category, seed):
+    del plan, seed
+    return Run(f'{training}_{category}_0', workdirs.CONFIG, 4)
+
   monkeypatch.setattr(study_shapes.protocol, 'make_predictor', make_predictor)
+  monkeypatch.setattr(study_shapes.protocol, 'train', train)
   return asked
 
 
 def make_study(tmp_path, monkeypatch, *more: str) -> str:
-  """Runs experiments.user_study; returns its folder."""
+  """Runs experiments.study; returns its folder."""
   without_networks(monkeypatch)
   monkeypatch.setattr(user_study, 'FRAMES', FRAMES)  # fewer, to be quick
   make_data(tmp_path)

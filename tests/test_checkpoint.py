@@ -168,9 +168,16 @@ def test_starting_again_with_the_same_settings(workdir):
   [('network', 'color'), ('learning_rate', 1e-3), ('category', []), ('batch_size', 4)],
 )
 def test_starting_again_with_another_setting_names_it(workdir, name, value):
-  with pytest.raises(UserError, match=f'begun with {name}='):
+  with pytest.raises(UserError, match=f'made with {name}='):
     checkpoint.start(workdir, {**CONFIG, name: value})
   assert checkpoint.read_config(workdir)['learning_rate'] == 3e-4
+
+
+def test_data_may_move_and_must_not_change(workdir):
+  config = {**CONFIG, 'data': '/a', 'data_digest': 'abc'}
+  checkpoint.compare(workdir, config, {**config, 'data': '/b'})
+  with pytest.raises(UserError, match=r'data_digest=abc \(/a\), not abd \(/b\)'):
+    checkpoint.compare(workdir, config, {**config, 'data': '/b', 'data_digest': 'abd'})
 
 
 @pytest.mark.parametrize('text', ['', '{"format": 1', '\x00\x01'])

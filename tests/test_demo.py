@@ -12,10 +12,11 @@ import synthetic
 from cvn import dataset, export, grid, photo
 from cvn.errors import UserError
 from experiments import demo, demo_page
+from experiments.lib import assets
 
 
 def _page(**changes):
-  png = demo_page.to_png(np.full((3, 5, 3), 100, np.uint8))
+  png = assets.to_png(np.full((3, 5, 3), 100, np.uint8))
   page = demo_page.Page(
     about='made of <b>&',
     verdict='Better.',
@@ -106,9 +107,9 @@ def test_curves_come_from_the_log(tmp_path):
 
 def test_pictures_are_held_out_views_and_come_back_as_written(tmp_path):
   made = synthetic.make_dataset(tmp_path / 'data', 6, splits=('train', 'test'))
-  pictures = demo.choose_pictures(made, 2)
+  pictures = demo.choose(made, 2)
   assert [p.row for p in pictures] == [1, 3]
-  assert pictures[0].title == 'm1, seen from 30°'
+  assert demo.name_of(pictures[0]) == 'm1_30'
   path = demo.write_picture(made, pictures[1], str(tmp_path / 'pictures'))
   assert path.endswith('m3_330.png')
   record = dataset.read_record(made, 3)
@@ -118,18 +119,19 @@ def test_pictures_are_held_out_views_and_come_back_as_written(tmp_path):
 def test_no_held_out_object(tmp_path):
   made = synthetic.make_dataset(tmp_path / 'data', 1, splits=('train',))
   with pytest.raises(UserError, match='--limit'):
-    demo.choose_pictures(made, 2)
+    demo.choose(made, 2)
 
 
 def test_example_takes_the_pictures_files(tmp_path):
   made = synthetic.make_dataset(tmp_path / 'data', 1, splits=('test',))
-  (picture,) = demo.choose_pictures(made, 6)
+  (picture,) = demo.choose(made, 6)
   voxels = grid.ColoredVoxels(np.ones((2,) * 3, bool), np.ones((2, 2, 2, 3)))
-  stem = str(tmp_path / 'models' / picture.name)
+  stem = str(tmp_path / 'models' / demo.name_of(picture))
   export.write_glb(f'{stem}.glb', voxels)
   with open(f'{stem}.png', 'wb') as f:
     f.write(b'panel')
   example = demo.make_example(made, picture, str(tmp_path / 'models'), str(tmp_path))
+  assert example.name == 'm0, seen from 30°'
   assert example.panel == b'panel' and example.glb.startswith(b'glTF')
   assert list(example.links) == [f'models/m0_30.{s}' for s in ('glb', 'ply', 'png')]
 

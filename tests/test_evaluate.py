@@ -17,7 +17,7 @@ from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import evaluate as program
-from experiments import scoring
+from experiments.lib import evaluation, scoring
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 
@@ -152,6 +152,15 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
   ]
   cells = lines[4].split()[1:]
   assert cells[0] == f'{scores[0].mean():.3f}' and cells[1] == f'{beaten[0].mean():.3f}'
+
+
+def test_the_options_are_known_before_the_evaluation(tmp_path, given):
+  named = {'alpha': 0.5, 'split': 'test', 'category': 'ball', **given}
+  report = _evaluate(tmp_path, **named)
+  assert report['options'] == evaluation.options(**named)
+  runs = report['options']['runs']
+  assert (runs['color']['step'], runs['shape']['config']['network']) == (0, 'shape')
+  assert report['options']['data_digest'] != evaluation.options(**given)['data_digest']
 
 
 def test_shape_alone_has_no_psnr(tmp_path, given, capsys):
@@ -290,14 +299,14 @@ def test_an_alpha_is_chosen_on_val_or_given(tmp_path, given, capsys):
 def test_the_mirrored_view_may_count_too(tmp_path, given):
   plain = _evaluate(tmp_path, **given)
   flipped = _evaluate(tmp_path, '--flip', **given)
-  assert flipped['flip'] and not plain['flip']
+  assert flipped['options']['flip'] and not plain['options']['flip']
   assert flipped['networks']['total']['psnr_rgb'] != plain['networks']['total']['psnr_rgb']
 
 
 def test_shapes_may_be_carved_by_the_silhouettes(tmp_path, given):
   plain = _evaluate(tmp_path, **given)['networks']['total']
   report = _evaluate(tmp_path, '--carve', **given)
-  assert report['carve'] and report['networks']['total']['iou'] != plain['iou']
+  assert report['options']['carve'] and report['networks']['total']['iou'] != plain['iou']
 
 
 def test_carving_warns_where_the_camera_is_not_known(tmp_path, given, monkeypatch, caplog):

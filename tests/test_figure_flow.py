@@ -5,7 +5,8 @@ import pytest
 from test_figure_random import GRID, make_workdir, parse, read_figure, save_networks
 
 from cvn import dataset
-from experiments import figure_flow
+from experiments.lib import picks
+from experiments.paper.figures import flow as figure_flow
 
 
 def make_record(index, visible, flow=(0.5, 0.5), size=32):
@@ -64,13 +65,13 @@ def test_both_sides_look_the_same_where_the_flow_is_symmetric(tmp_path, monkeypa
   given = make_workdir(tmp_path, monkeypatch)
   opened = dataset.open_dataset(given['data'])
   record = dataset.read_record(opened, 2)
-  f = parse(figure_flow, tile=48, **given)
   tiles = []
   monkeypatch.setattr(figure_flow.figures, 'grid_of_images', lambda rows, **_: tiles.extend(rows))
   # What lies at one height is fetched from one place.
   flow = np.stack([np.full(len(record.surface_index), 0.5), record.surface_index[:, 1] / GRID], -1)
-  example = figure_flow.pictures.example_of(opened, 2, 1)
-  figure_flow.draw(f, example, record, {'target': flow.astype(np.float32)}, GRID)
+  pick = picks.of(opened, 2, 1)
+  flows = {'target': flow.astype(np.float32)}
+  figure_flow.draw(pick, record, flows, grid_size=GRID, tile=48)
   _, seen, hidden = tiles[0]
   silhouettes = [np.any(x < 255, axis=-1) for x in (seen, hidden[:, ::-1])]
   assert np.mean(silhouettes[0] != silhouettes[1]) < 0.01

@@ -4,7 +4,8 @@ import numpy as np
 from test_figure_random import make_workdir, parse, read_figure, save_networks
 
 from cvn import figures
-from experiments import figure_intermediate, pictures
+from experiments.lib import pictures
+from experiments.paper.figures import intermediate as figure_intermediate
 
 
 def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
@@ -13,7 +14,7 @@ def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
   drawn = []
   draw_row = figure_intermediate.draw_row
   monkeypatch.setattr(
-    figure_intermediate, 'draw_row', lambda *a: drawn.append(draw_row(*a)) or drawn[-1]
+    figure_intermediate, 'draw_row', lambda *a, **k: drawn.append(draw_row(*a, **k)) or drawn[-1]
   )
   figure_intermediate.run(parse(figure_intermediate, '--category=car', tile=48, **given))
   (row,) = drawn

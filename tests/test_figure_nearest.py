@@ -5,9 +5,10 @@ import pytest
 from test_figure_random import AZIMUTHS, GRID, IMAGE, make_workdir, parse, read_figure
 
 from cvn import data, dataset, metrics, reconstruct
-from experiments import figure_nearest, protocol, scoring
-from experiments.protocol import Networks
-from experiments.scoring import Network
+from experiments.lib import protocol, scoring
+from experiments.lib.protocol import Networks
+from experiments.lib.scoring import Network
+from experiments.paper.figures import nearest as figure_nearest
 
 
 @pytest.fixture
@@ -80,9 +81,9 @@ def test_means_are_over_views_that_have_voxels():
 def test_the_models_shown_have_the_highest_share_of_their_category(given):
   opened = dataset.open_dataset(given['data'])
   shares = np.array([[0.1, 0.2, np.nan], [0.5, 0.6, 0.9], [0.3, 0.1, 0.2], [np.nan] * 3])
-  picked = figure_nearest.pick(opened, [2, 3, 6, 7], shares, 1)
+  picked = figure_nearest.pick_highest(opened, [2, 3, 6, 7], shares, 1)
   assert [(e.row, e.view) for e in picked] == [(3, 2), (6, 0)]
-  assert len(figure_nearest.pick(opened, [2, 3, 6, 7], shares, 2)) == 4
+  assert len(figure_nearest.pick_highest(opened, [2, 3, 6, 7], shares, 2)) == 4
 
 
 def test_the_program_prints_the_share_of_the_whole_split(given, monkeypatch, capsys):

@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 import synthetic
+import workdirs
 from absl import flags
 from PIL import Image
 from test_evaluate import save_network
@@ -14,7 +15,9 @@ from cvn import dataset, figures
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import NETWORKS
-from experiments import figure_random, pictures, protocol, scoring
+from experiments.lib import pictures, protocol, scoring
+from experiments.lib.runs import Run
+from experiments.paper.figures import random as figure_random
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 
@@ -33,16 +36,19 @@ def make_workdir(root, monkeypatch):
   ball = np.linalg.norm(np.indices((GRID,) * 3) - (GRID - 1) / 2, axis=0) < GRID / 3
   voxels = ColoredVoxels(ball, np.broadcast_to([1.0, 0, 0], (*ball.shape, 3)))
 
-  def train(f, training, category, seed):
-    return os.path.join(f.workdir, 'runs', f'{training}_{category}_{seed}')
+  def train(plan, training, category, seed):
+    config = workdirs.CONFIG | {'seed': int(seed)}
+    config['category'] = [] if category == protocol.ALL else [category]
+    folder = os.path.join(plan.workdir, 'runs', f'{training}_{category}_{seed}')
+    return Run(folder, config, 2 * plan.epochs)
 
-  def evaluate(f, method, category, seed, **_):
-    del f, category, seed
+  def evaluate(plan, method, category, seed, **_):
+    del plan, category, seed
     joint = protocol.METHODS[method].shape == 'r2n2'
     return {'threshold': -0.1 if joint else 0.5, 'alpha': protocol.METHODS[method].alpha}
 
-  def make_predictor(f, method, category, seed):
-    del f, method, category, seed
+  def make_predictor(plan, method, category, seed):
+    del plan, method, category, seed
     return lambda views: [voxels] * len(views)
 
   monkeypatch.setattr(protocol, 'train', train)
@@ -111,7 +117,9 @@ def test_a_seed_means_a_choice(given):
   opened = dataset.open_dataset(given['data'])
 
   def choose(**named):
-    return pictures.choose(parse(figure_random, **given, **named), opened)
+    f = parse(figure_random, **given, **named)
+    plan = protocol.read_flags(f)
+    return pictures.choose(plan, opened, seed=f.figure_seed, per_category=f.per_category)
 
   assert choose(figure_seed=1) == choose(figure_seed=1)
   assert len({tuple(choose(figure_seed=n)) for n in range(8)}) > 4
@@ -130,14 +138,15 @@ def test_results_are_the_predictors(given, monkeypatch):
     for view in record.views:
       by_view[(view.astype(np.float32) / 255).tobytes()] = scoring.to_voxels(record, GRID)
 
-  def make_predictor(f, method, category, seed):
+  def make_predictor(plan, method, category, seed):
     return lambda views: [by_view[v.tobytes()] for v in views]
 
   monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
   shown = []
   monkeypatch.setattr(figures, 'grid_of_images', lambda rows, **_: shown.extend(rows))
-  f = parse(figure_random, tile=64, per_category=1, **given)
-  pictures.draw_results(f, opened, pictures.choose(f, opened), ['flow'])
+  plan = protocol.read_flags(parse(figure_random, **given))
+  chosen = pictures.choose(plan, opened, seed=0, per_category=1)
+  pictures.draw_results(plan, opened, chosen, ['flow'], tile=64)
   for row in shown:
     assert len(row) == 5
     for side in (1, 2):

@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 import synthetic
+import workdirs
 from absl import flags
 from PIL import Image
 
 from cvn.errors import UserError
-from experiments import figure_threshold as program
+from experiments.lib.runs import Run
+from experiments.paper.figures import threshold as program
 
 
 def run(*arguments):
@@ -24,7 +26,9 @@ def test_curves_of_both_losses(tmp_path, monkeypatch):
     tmp_path / 'data', 3, splits=('train', 'val'), image_size=32, grid_size=16
   )
   asked = []
-  monkeypatch.setattr(program.protocol, 'train', lambda f, name, *_: name)
+  monkeypatch.setattr(
+    program.protocol, 'train', lambda plan, name, *_: Run(name, workdirs.CONFIG, 4)
+  )
   monkeypatch.setattr(program.scoring, 'load', lambda workdir, *_: workdir)
 
   def threshold_curve(dataset, rows, shape):
@@ -35,6 +39,7 @@ def test_curves_of_both_losses(tmp_path, monkeypatch):
   run(f'--data={made.root}', f'--workdir={tmp_path}', '--models=all')
   assert asked == [('cross_entropy', [1]), ('msfcel', [1])]
   told = json.loads((tmp_path / 'figures' / 'threshold.json').read_text())
+  assert told['runs']['msfcel']['epochs'] == 2 and 'epochs: 2, seed 0' in told['caption']
   assert told['curves']['all']['msfcel'] == {'thresholds': [0.25, 0.5], 'iou': [0.125, 0.75]}
   with Image.open(tmp_path / 'figures' / 'threshold.png') as picture:
     assert picture.size == (440, 330)

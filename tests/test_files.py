@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -106,3 +108,33 @@ def test_stray_argument_is_refused():
   assert done.returncode != 0
   assert "unexpected argument: 'data'" in done.stdout + done.stderr
   assert 'Traceback' not in done.stdout + done.stderr
+
+
+def test_a_lock_lets_one_in_at_a_time(tmp_path):
+  inside, most = [], []
+
+  def work(n):
+    with files.locked(tmp_path / 'new' / 'lock'):
+      inside.append(n)
+      most.append(len(inside))
+      time.sleep(0.05)
+      inside.remove(n)
+
+  with ThreadPoolExecutor(3) as executor:
+    list(executor.map(work, range(3)))
+  assert most == [1, 1, 1] and os.listdir(tmp_path / 'new') == ['lock']
+
+
+def test_a_lock_is_not_waited_for_for_ever(tmp_path):
+  with files.locked(tmp_path / 'lock'):
+    before = time.monotonic()
+    with files.locked(tmp_path / 'lock', seconds=0.2):
+      assert 0.2 <= time.monotonic() - before < 30
+
+
+def test_a_lock_that_cannot_be_made_locks_nothing(tmp_path):
+  (tmp_path / 'file').write_text('')
+  with files.locked(tmp_path / 'file' / 'lock'):
+    assert os.listdir(tmp_path) == ['file']
+  with pytest.raises(OSError, match='of the body'), files.locked(tmp_path / 'lock'):
+    raise OSError('of the body')

@@ -7,7 +7,7 @@ import pytest
 
 from cvn.complexity import Palette
 from cvn.errors import UserError
-from experiments import people_analysis
+from experiments.paper.people import analysis as people_analysis
 
 AZIMUTHS = (0, 90, 180, 270)
 

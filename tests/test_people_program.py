@@ -10,11 +10,11 @@ from absl import flags
 from PIL import Image
 from test_evaluate import save_network
 
-from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
-from experiments import evaluate, protocol
-from experiments import people as program
+from experiments import evaluate
+from experiments.lib import protocol, runs, training
+from experiments.paper.people import __main__ as program
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 180, 270)
 
@@ -32,15 +32,22 @@ def given(tmp_path_factory):
     image_size=IMAGE,
     grid_size=GRID,
   )
-  for training, kind, network in (
+  for name, kind, network in (
     ('msfcel', 'shape', ShapeNetwork),
     ('blended', 'color', ColorNetwork),
   ):
-    folder = root / 'work' / 'runs' / f'{training}_human_0'
+    folder = root / 'work' / 'runs' / f'{name}_human_0'
     save_network(str(folder), kind, network(IMAGE, GRID))
     os.rename(folder / 'checkpoints' / '0', folder / 'checkpoints' / '2')
-    config = json.loads((folder / 'config.json').read_text())
-    (folder / 'config.json').write_text(json.dumps(config | {'models': 2, 'batch_size': 1}))
+    config = training.configuration(
+      network=kind,
+      data=root / 'data',
+      workdir=folder,
+      category='human',
+      batch_size=1,
+      dtype='float32',
+    )
+    (folder / 'config.json').write_text(json.dumps({'format': 1, **config}))
   return {'data': root / 'data', 'workdir': root / 'work'}
 
 
@@ -57,14 +64,14 @@ def commands(monkeypatch):
     f(['program', *(f'--{k}={v}' for k, v in named.items())])
     assert name == 'experiments.evaluate' and evaluate.run(f) == 0
 
-  monkeypatch.setattr(protocol, 'run_program', run_program)
+  monkeypatch.setattr(runs, 'run_program', run_program)
   return ran
 
 
 def parse(**named):
   f = flags.FlagValues()
   program.define_flags(f)
-  f(['program', '--quick', *(f'--{k}={v}' for k, v in named.items())])
+  f(['program', '--quick', '--batch_size=1', *(f'--{k}={v}' for k, v in named.items())])
   return f
 
 
@@ -94,8 +101,9 @@ def test_the_whole_study(given, commands, capsys):
   assert f'of the mean training shape {baseline:.3f} [' in told
   assert sum(g['views'] for g in found['by_complexity']) == 8
   assert sum(found['colors']['views_by_complexity']) == 16  # people of all splits, no eggs
-  assert found['colors']['t1'] == 1 and found['epochs'] == 500 and found['quick']
-  assert {s['model'] for s in found['results']['shown']} == {'m2', 'm6'}
+  assert found['colors']['t1'] == 1 and found['runs']['msfcel_human_0']['epochs'] == 1
+  shown = json.loads((folder / 'figures' / 'people_results.json').read_text())
+  assert {r['id'] for r in shown['rows']} == {'m2', 'm6'} and 'seed 0' in shown['caption']
   for name in program.FIGURES:
     pixels = np.asarray(Image.open(folder / 'figures' / f'people_{name}.png').convert('RGB'))
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20
@@ -104,16 +112,19 @@ def test_the_whole_study(given, commands, capsys):
   assert len(commands) == before  # all is there
 
 
-def test_figures_show_the_same_people_for_a_seed(tmp_path, given, commands):
-  dataset = open_dataset(str(given['data']))
-  pictures, shown = [], []
-  for n, seed in enumerate((3, 3, 4)):
-    path = tmp_path / f'{n}.png'
-    f = parse(people=1, figure_seed=seed, **given)
-    shown.append(program.draw_results(str(path), f, dataset, 'human', 'human')['shown'])
-    pictures.append(path.read_bytes())
-  assert pictures[0] == pictures[1] != pictures[2]
-  assert shown[0] == shown[1] != shown[2]
+def test_figures_show_the_same_people_for_a_seed(given, commands):
+  stem = given['workdir'] / 'figures' / 'people_results'
+  found = []
+  for seed in (3, 3, 4):
+    run(t1=1, people=1, figure_seed=seed, **given)
+    found.append(
+      (
+        stem.with_suffix('.png').read_bytes(),
+        json.loads(stem.with_suffix('.json').read_text())['rows'],
+      )
+    )
+  assert found[0] == found[1]
+  assert found[0][0] != found[2][0] and found[0][1] != found[2][1]
 
 
 def test_bad_input_is_named(tmp_path, given):

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from experiments import preferences
-from experiments.preferences import Choice
+from experiments.study import preferences
+from experiments.study.preferences import Choice
 
 TITLES = {'a': 'A', 'b': 'B', 'c': 'C'}
 
@@ -73,6 +73,7 @@ def test_writes_picture_and_numbers(tmp_path, capsys):
   table = preferences.tabulate(_choices('car', 'b', 1, 1), ['b'], ['car'])
   chart = preferences.draw({'': table}, TITLES, 'a', note='')
   preferences.write(str(tmp_path / 'new'), 'name', {'x': 1}, chart)
-  assert json.loads((tmp_path / 'new' / 'name.json').read_text()) == {'x': 1}
+  written = json.loads((tmp_path / 'new' / 'name.json').read_text())
+  assert written.pop('argv') and written == {'x': 1}
   assert (tmp_path / 'new' / 'name.png').read_bytes().startswith(b'\x89PNG')
   assert 'name.png' in capsys.readouterr().out

@@ -3,18 +3,14 @@
 import json
 import re
 
-import numpy as np
 import pytest
 import synthetic
 import workdirs
 from absl import flags
-from PIL import Image
 
 from cvn.errors import UserError
-from experiments import report as program
-from experiments import report_facts, report_sections, report_setting
-from experiments.report_gather import read_workdir
-from experiments.report_page import render
+from experiments.report import __main__ as program
+from experiments.report import facts as report_facts
 
 
 def run(output, *folders, **named):
@@ -34,6 +30,8 @@ def made(tmp_path_factory):
     root / 'data/objects', 6, categories=('car', 'chair'), azimuths=(0, 90), image_size=32,
     grid_size=16, missing=(0,),
   )  # fmt: skip
+  collected = ['python', '-m', 'experiments.collection', f'--output={root}/data']
+  workdirs.write_json(root / 'data/collection.json', {'argv': collected})
   workdirs.write_json(root / 'data/seconds.json', {'python -m datagen.generate --limit=6': 30})
   workdirs.write_all(root / 'work', data=str(root / 'data/objects'))
   return root, *run(root / 'out', root / 'work')
@@ -64,12 +62,12 @@ def test_commands_stand_in_their_order_with_their_times(made):
   _, _, text = made
   listed = re.findall(r'^python -m (\S+)', text, re.MULTILINE)
   assert listed == [
-    *('experiments.collection', 'experiments.table_iou', 'experiments.table_psnr'),
-    *('experiments.ablation', 'experiments.structure', 'experiments.people'),
-    *('experiments.figure_random', 'experiments.user_study_standin', 'experiments.report'),
+    *('experiments.collection', 'experiments.paper.iou', 'experiments.paper.psnr'),
+    *('experiments.paper.ablation', 'experiments.paper.structure', 'experiments.paper.people'),
+    *('experiments.paper.figures.random', 'experiments.study.standin', 'pytest'),
     *('datagen.generate', 'experiments.train'),
   ]
-  assert 'experiments.table_iou --data=data/objects --workdir=work --models=all --epochs=8' in text
+  assert 'python -m experiments.paper.iou --data=data/objects --workdir=work\n' in text
   assert 'datagen.generate --limit=6  # 30 s' in text
   assert 'What they ran: 2 commands, 0.0 hours in all' in text
 
@@ -85,8 +83,8 @@ def test_what_is_missing_is_left_out_with_its_command(tmp_path):
   workdirs.write_training(tmp_path / 'work')
   page, text = run(tmp_path / 'out', tmp_path / 'work', per_category=1)
   for command in (
-    *('table_iou', 'table_psnr', 'ablation', 'structure', 'people', 'figure_random'),
-    *('user_study', 'user_study_standin', 'collection'),
+    *(f'paper.{x}' for x in ('iou', 'psnr', 'ablation', 'structure', 'people', 'figures.random')),
+    *('study', 'study.standin', 'collection'),
   ):
     assert f'python -m experiments.{command} ' in text
     assert f'python -m experiments.{command} ' in re.sub('</?span>', '', page)
@@ -96,33 +94,30 @@ def test_what_is_missing_is_left_out_with_its_command(tmp_path):
 def test_folders_stand_beside_each_other(made, tmp_path):
   root, *_ = made
   chairs = tmp_path / 'chairs'
-  workdirs.write_tables(chairs, seeds=3, models='category')
+  workdirs.write_tables(chairs, seeds=3, category=['chair'])
   for seed in range(3):
-    workdirs.write_training(chairs, f'msfcel_chair_{seed}', category=['chair'])
+    workdirs.write_training(chairs, f'msfcel_chair_{seed}', category=['chair'], seed=seed)
   _, text = run(tmp_path / 'out', root / 'work', chairs)
-  head = (
-    '|  | paper | one network for all categories | a network a category (car, chair), 3 seeds |'
-  )
+  head = '|  | paper | one network for all categories | a network a category (chair), 3 seeds |'
   assert head in text
-  assert text.count('### A network a category (car, chair), 3 seeds') >= 4
-  assert 'table_iou --data=DATA --workdir=chairs --category=chair' in text
+  assert text.count('### A network a category (chair), 3 seeds') >= 4
   assert '| networks | one a category |' in text and '| seeds | not said | 0 | 0, 1, 2 |' in text
 
 
 def test_captions_become_text(tmp_path):
-  caption = 'Drawn at random, <b>not</b> chosen.'
-  workdirs.write_figure(tmp_path / 'figures/random.png', caption)
-  w = read_workdir(str(tmp_path))
-  with Image.open(tmp_path / 'figures/random.png') as image:
-    height = image.height
-  (tmp_path / 'cut.png').write_bytes(report_sections.cut_caption(w.figures['random'].png, caption))
-  with Image.open(tmp_path / 'cut.png') as image:
-    cut = np.asarray(image)
-  assert height > 6 and cut.shape == (6, 300, 3)
-  other = report_sections.cut_caption(w.figures['random'].png, 'Another caption.')
-  assert other == w.figures['random'].png
-  page = render(report_sections.make_report([w], per_category=0, seed=0))
+  workdirs.write_figure(tmp_path / 'figures/random.png', 'Drawn at random, <b>not</b> chosen.')
+  page, text = run(tmp_path / 'out', tmp_path)
   assert 'Randomly selected results. Drawn at random, &lt;b&gt;not&lt;/b&gt; chosen.' in page
+  shown = tmp_path / 'out' / re.search(r'\]\((random_\S+?\.png)\)', text).group(1)
+  assert shown.read_bytes() == (tmp_path / 'figures/random.png').read_bytes()
+
+
+def test_numbers_of_networks_that_have_changed_since_are_marked(tmp_path):
+  workdirs.write_tables(tmp_path / 'work')
+  workdirs.write_training(tmp_path / 'work')
+  assert 'Made of ' not in run(tmp_path / 'out', tmp_path / 'work')[1]
+  workdirs.write_training(tmp_path / 'work', batch_size=1)
+  assert 'Made of msfcel\\_all\\_0 at step 4' in run(tmp_path / 'out', tmp_path / 'work')[1]
 
 
 @pytest.mark.parametrize(
@@ -138,20 +133,6 @@ def test_captions_become_text(tmp_path):
 )
 def test_places_are_shortened(line, short):
   assert report_facts.shorten(line, ['/x/work', '/x/data']) == short
-
-
-def test_commands_have_the_flags_that_differ():
-  found = report_setting.command(
-    'experiments.figure_random',
-    workdirs.settings(seeds=['0', '1'], quick=True)
-    | {'methods': {'flow': 'a title', 'best': 'another'}, 'figure_seed': 3, 'per_category': 2},
-    'W',
-  )
-  assert found == (
-    'python -m experiments.figure_random --data=DATA --workdir=W --quick --models=all --seeds=0,1'
-    ' --epochs=8 --batch_size=2 --learning_rate=0.001 --fresh_statistics=20 --dtype=mixed'
-    ' --figure_seed=3 --methods=flow,best'
-  )
 
 
 def test_a_damaged_file_writes_nothing(tmp_path):

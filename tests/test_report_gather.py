@@ -4,13 +4,12 @@ import json
 import math
 import shutil
 
-import numpy as np
 import pytest
 import workdirs
 
 from cvn.errors import UserError
-from experiments import report_gather, tables
-from experiments.report_gather import read_workdir, read_workdirs
+from experiments.report import read as report_gather
+from experiments.report.read import read_workdir, read_workdirs
 
 
 @pytest.fixture(scope='module')
@@ -25,7 +24,7 @@ def test_reads_everything(given):
   car = w.tables['iou'].parts['val'].rows[0].categories['car']
   assert (car.mean, car.models, car.published) == (pytest.approx(0.35), 2, 0.395)
   assert math.isnan(w.tables['psnr'].parts['psnr_rgb'].rows[0].published)
-  assert w.people.models == 2 and w.people.settings['models'] == 'category'
+  assert w.people.models == 2 and w.people.source.runs['msfcel_all_0']['category'] == ['human']
   assert w.people.means['baseline_iou'].value == pytest.approx(0.1)
   assert [t.name for t in w.trainings] == ['msfcel_all_0', 'blended_all_0']  # the protocol's order
   assert {*w.figures} == {'people_azimuth', 'random'} and {*w.study} == {'standin'}
@@ -51,35 +50,35 @@ def test_a_line_that_is_being_written_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize('seeds', [1, 3])
-def test_comparisons_are_those_of_the_tables(seeds):
-  better, other = (workdirs.row(m, b, seeds=seeds) for m, b in (('msfcel', 0.5), ('flow', 0.3)))
-  better.scores['car'].values[:] = 0.25, 0.75
-  found = report_gather.read_comparison(tables.compare(better, other, '.3f'))
-  assert found.better == 'Ours (MSFCEL)' and found.other == 'Our baseline (flw.)'
-  values = np.array([-0.05, 0.35, 0.2])
-  assert found.difference == pytest.approx(values.mean(), abs=1e-3)
-  assert found.error == pytest.approx(values.std(ddof=1) / np.sqrt(3), abs=1e-3)
-  assert (found.models, found.above) == (3, '67%')
-  assert len(found.seeds) == (0 if seeds == 1 else 3)
+def test_comparisons_are_those_of_the_tables(seeds, tmp_path):
+  workdirs.write_tables(tmp_path, seeds=seeds)
+  written = json.loads((tmp_path / 'tables/iou.json').read_text())['val']['comparisons']
+  found = report_gather.read_table(str(tmp_path / 'tables/iou.json')).parts['val'].comparisons
+  assert [c._asdict() for c in found] == written
+  assert len(found[0].seeds) == (0 if seeds == 1 else 3)
 
 
 def test_scores_tell_the_networks_of_methods(tmp_path):
   report = {
     **{'data': 'D', 'split': 'test', 'shape': 'S', 'color': None, 'threshold': 0.5, 'alpha': 0.2},
     'networks': {'by_model': {'m': {'category': 'car'}}},
+    'options': {'runs': {'shape': {'step': 4}}},
   }
   for name in ('blended_0.2_all_0_test', 'best_0.6_all_0_test_val', 'other_all_0_test'):
     workdirs.write_json(tmp_path / f'{name}.json', report)
   workdirs.write_json(tmp_path / 'msfcel_all_0_val.json', report | {'split': 'val'})
   found = {p.stem: report_gather.read_score(str(p)) for p in tmp_path.iterdir()}
   assert found['blended_0.2_all_0_test'].method == 'blended_0.2'
-  assert found['best_0.6_all_0_test_val'] == ('best', 'D', 'S', '', 0.5, 0.2, {'m': 'car'})
+  assert found['best_0.6_all_0_test_val'] == (
+    *('best', 'D', 'S', '', 0.5, 0.2),
+    *({'m': 'car'}, {'shape': {'step': 4}}),
+  )
   assert found['other_all_0_test'] is None and found['msfcel_all_0_val'] is None
 
 
 DAMAGE = {
   'tables/iou.json': ['{"paper": ', '[]', '{}', 'null'],
-  'tables/psnr.json': [json.dumps(workdirs.settings())],
+  'tables/psnr.json': [json.dumps(workdirs.source())],
   'tables/people.json': ['{}'],
   'runs/msfcel_all_0/config.json': ['', '{"batch_size": 0, "models": 4}', '{"batch_size": 9}'],
   'runs/msfcel_all_0/log.jsonl': ['{"step"\n{}\n', '[1]\n', '{"step": 1, "loss": "x"}\n'],
@@ -95,7 +94,7 @@ def test_a_damaged_file_is_named(name, text, given, tmp_path):
   (folder / name).write_text(text)
   with pytest.raises(UserError) as found:
     read_workdir(str(folder))
-  assert f'{folder / name} is damaged: ' in str(found.value) and '\n' not in str(found.value)
+  assert f'{folder / name} is damaged' in str(found.value) and '\n' not in str(found.value)
 
 
 def test_folders_that_hold_nothing(tmp_path):
@@ -118,11 +117,11 @@ def test_folders_have_different_names(given, tmp_path):
 
 def test_a_folder_is_called_after_the_networks_of_its_tables(tmp_path):
   workdirs.write_training(tmp_path, 'msfcel_all_0')
-  workdirs.write_training(tmp_path, 'msfcel_chair_1')
+  workdirs.write_training(tmp_path, 'msfcel_chair_1', category=['chair'], seed=1)
   mixed = 'one network for all categories, a network a category (chair), 2 seeds'
   assert read_workdir(str(tmp_path)).label == mixed
-  workdirs.write_tables(tmp_path, models='category', seeds=3)
-  assert read_workdir(str(tmp_path)).label == 'a network a category (car, chair), 3 seeds'
+  workdirs.write_tables(tmp_path, category=['chair'], seeds=3)
+  assert read_workdir(str(tmp_path)).label == 'a network a category (chair), 3 seeds'
   workdirs.write_training(tmp_path / 'third', 'msfcel_all_0', source=['procedural', 'mine'])
   expected = 'one network for all categories, trained on procedural models and mine alone'
   assert read_workdir(str(tmp_path / 'third')).label == expected

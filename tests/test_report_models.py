@@ -14,7 +14,10 @@ from test_evaluate import save_network
 from cvn import data, reconstruct
 from cvn.dataset import read_record
 from cvn.networks import ColorNetwork, ShapeNetwork
-from experiments import report_facts, report_gather, report_models, scoring
+from experiments.lib import evaluation, scoring
+from experiments.report import facts as report_facts
+from experiments.report import models as report_models
+from experiments.report import read as report_gather
 
 IMAGE, GRID = 32, 16
 
@@ -43,7 +46,7 @@ def root(tmp_path_factory):
 
 def _config(root, name):
   kind = 'shape' if name.startswith('msfcel') else 'color'
-  return {'format': 1, 'network': kind, 'models': 4, 'batch_size': 2, 'data': str(root / 'data')}
+  return workdirs.CONFIG | {'network': kind, 'data': str(root / 'data')}
 
 
 def _report(root, models):
@@ -52,6 +55,12 @@ def _report(root, models):
     # As they were named elsewhere, before the workdir was moved here.
     **{'shape': '/elsewhere/runs/msfcel_all_0', 'color': '/elsewhere/runs/blended_all_0/'},
     'networks': {'by_model': {m: {'category': c} for m, c in models.items()}},
+    'options': {
+      'runs': {
+        kind: evaluation.describe_run(str(root / f'work/runs/{name}_all_0'))
+        for kind, name in (('shape', 'msfcel'), ('color', 'blended'))
+      }
+    },
   }
 
 
@@ -63,43 +72,41 @@ def given(root):
 
 def test_chosen_are_test_models_of_each_category_by_seed(given):
   workdir, opened = given
-  models = opened.dataset.manifest.models
   choices = [
     report_models.choose(workdir, opened, per_category=2, seed=seed) for seed in (0, 0, 1, 2, 3)
   ]
   assert choices[0] == choices[1]
   assert len({str(c) for c in choices}) > 1
   for chosen in choices:
-    assert [models[c.row].category for c in chosen] == ['ball', 'ball', 'egg', 'egg']
-    assert len({c.row for c in chosen}) == 4
-    assert {models[c.row].split for c in chosen} == {'test'}
+    assert [p.model.category for p, _ in chosen] == ['ball', 'ball', 'egg', 'egg']
+    assert len({p.row for p, _ in chosen}) == 4
+    assert {p.model.split for p, _ in chosen} == {'test'}
 
 
 def test_networks_are_found_where_they_were_moved_to(given):
-  (chosen, *_) = report_models.choose(*given, per_category=1, seed=0)
-  assert chosen.scores['blended_0.2'].shape == f'{given[0].path}/runs/msfcel_all_0'
+  ((_, scores), *_) = report_models.choose(*given, per_category=1, seed=0)
+  assert scores['blended_0.2'].shape == f'{given[0].path}/runs/msfcel_all_0'
 
 
 def test_examples_hold_what_the_networks_make_of_the_view(given):
   workdir, opened = given
   found = report_models.make_examples(workdir, opened, per_category=1, seed=0, name='still')
   (first, _) = found.examples
-  chosen = report_models.choose(workdir, opened, per_category=1, seed=0)[0]
-  record = read_record(opened.dataset, chosen.row)
+  pick, _ = report_models.choose(workdir, opened, per_category=1, seed=0)[0]
+  record = read_record(opened.dataset, pick.row)
   shape, color = (
     scoring.load(f'{workdir.path}/runs/{name}', [kind], opened.dataset).variables
     for name, kind in (('msfcel_all_0', 'shape'), ('blended_all_0', 'color'))
   )
-  view = record.views[[chosen.view]].astype(np.float32) / 255
+  view = record.views[[pick.view]].astype(np.float32) / 255
   probability = reconstruct.reconstruct(shape, color, view, grid_size=GRID).probability[0]
   occupied = np.asarray(probability) >= 0.4
   true = scoring.to_voxels(record, GRID).occupancy
   iou = (occupied & true).sum() / (occupied | true).sum()
   titles = [(m.title, m.note) for m in first.models]
   assert titles == [('paper’s method', f'threshold 0.40, IoU {iou:.2f}'), ('truth', '')]
-  model = opened.dataset.manifest.models[chosen.row]
-  assert first.title == f'{model.category}, seen from {(0, 90)[chosen.view]}°'
-  assert model.id in first.credit
+  assert first.title == f'{pick.model.category}, seen from {(0, 90)[pick.view]}°'
+  assert pick.model.id in first.credit
   for shown, occupancy in zip(first.models, (occupied, true), strict=True):
     scene = trimesh.load_scene(io.BytesIO(gzip.decompress(shown.glb)), file_type='glb')
     low, high = scene.bounds
@@ -115,6 +122,12 @@ def test_nothing_is_shown_where_networks_or_their_data_are_gone(given, tmp_path)
   assert report_models.make_examples(moved, opened, **options) is None
   elsewhere = [s._replace(data='/elsewhere') for s in workdir.scores]
   assert report_models.make_examples(workdir._replace(scores=elsewhere), opened, **options) is None
+
+
+def test_networks_that_were_trained_further_since_are_not_shown(given):
+  workdir, opened = given
+  stale = [s._replace(runs=s.runs | {'shape': {'step': 1, 'config': {}}}) for s in workdir.scores]
+  assert not report_models.choose(workdir._replace(scores=stale), opened, per_category=1, seed=0)
 
 
 def test_a_result_without_voxels_is_told(given):

@@ -7,8 +7,10 @@ from html.parser import HTMLParser
 
 import pytest
 
-from experiments import report_markdown, report_page, report_plots
-from experiments.report_blocks import (
+from experiments.report import markdown as report_markdown
+from experiments.report import page as report_page
+from experiments.report import plots as report_plots
+from experiments.report.blocks import (
   Cell,
   Commands,
   Example,
@@ -23,7 +25,7 @@ from experiments.report_blocks import (
   Text,
   Turnable,
 )
-from experiments.report_results import Line, Lines, Number
+from experiments.report.results import Line, Lines, Number
 
 EVIL = '<script>alert("1")</script> & | *x* `a<b`'
 

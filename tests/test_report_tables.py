@@ -5,9 +5,10 @@ import math
 import pytest
 
 from cvn.intervals import Estimate
-from experiments import report_tables
-from experiments.report_blocks import Cell, Items, Table
-from experiments.report_results import Comparison, Line, Lines, Number
+from experiments.lib.tables import Comparison
+from experiments.report import tables as report_tables
+from experiments.report.blocks import Cell, Items, Table
+from experiments.report.results import Line, Lines, Number
 
 NAN = math.nan
 
@@ -82,7 +83,7 @@ def test_same_order_as_in_the_paper():
   [(0.03, 0.01, 'above'), (-0.03, 0.01, 'below'), (0.02, 0.01, 'not told apart')],
 )
 def test_differences_say_whether_they_are_more_than_chance(difference, error, verdict):
-  compared = Comparison('Ours', 'Other', difference, error, 16, 0.125, '75%', [])
+  compared = Comparison('Ours', 'Other', difference, error, 16, 0.125, 0.75, [])
   (table,) = report_tables.differences_table([compared], '.3f')
   ((label, cells),) = table.rows
   assert label == '− Other' and cells[1] == Cell('', verdict)
@@ -93,7 +94,7 @@ def test_differences_say_whether_they_are_more_than_chance(difference, error, ve
 
 def test_the_ablation_tells_gains_over_the_first_line():
   steps = Lines([line('paper', 0.2, 0.2), line('+ x', 0.25, 0.2)], [])
-  gain = Comparison('best', 'paper', 0.03, 0.01, 16, 0.02, '75%', [])
+  gain = Comparison('best', 'paper', 0.03, 0.01, 16, 0.02, 0.75, [])
   table, compared = report_tables.ablation_table(
     {'val iou': steps, 'test psnr_rgb': steps._replace(comparisons=[gain])}, 'steps'
   )

@@ -3,7 +3,7 @@
 import pytest
 
 from cvn.errors import UserError
-from experiments import stages
+from experiments.lib import stages
 
 
 def test_running_a_program_adds_up_its_seconds(tmp_path, capfd):

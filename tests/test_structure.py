@@ -6,7 +6,8 @@ import os
 import pytest
 from test_figure_random import make_workdir, parse, read_figure
 
-from experiments import protocol, structure
+from experiments.lib import protocol
+from experiments.paper import structure
 
 MODELS = {'m2': 'car', 'm6': 'car', 'm3': 'zebra'}
 
@@ -16,19 +17,25 @@ def given(tmp_path, monkeypatch):
   """Evaluations in which separate networks are better by 0.25 in IoU and worse by 1 dB."""
   made = make_workdir(tmp_path, monkeypatch)
 
-  def evaluate(f, method, category, seed, **_):
-    del f, seed
+  def evaluate(plan, method, category, seed, **_):
     unified = method == structure.UNIFIED
+    training = 'unified' if unified else 'msfcel'
+    run = protocol.train(plan, training, category, seed)
     models = {
       name: {
         'category': c,
+        'source': 'synthetic',
         'iou': [0.25 if unified else 0.5] * 3,
         'psnr_rgb': [11.0 if unified else 10.0, None, None],
       }
       for name, c in MODELS.items()
       if category in (protocol.ALL, c)
     }
-    return {'threshold': 0.5, 'alpha': 0.2, 'networks': {'by_model': models}}
+    return {
+      **{'data': plan.data, 'split': 'test', 'threshold': 0.5, 'alpha': 0.2},
+      **{'networks': {'by_model': models}, 'shape': run.workdir},
+      'options': {'runs': {'shape': {'step': run.step, 'config': run.config}}},
+    }
 
   monkeypatch.setattr(protocol, 'evaluate', evaluate)
   return made
@@ -38,7 +45,7 @@ def given(tmp_path, monkeypatch):
 def test_numbers_stand_beside_the_papers(given, capsys, models):
   structure.run(parse(structure, tile=48, per_category=1, models=models, **given))
   text = capsys.readouterr().out
-  assert '| | car | zebra | avg. |' in text
+  assert '|  | car | zebra | avg. |' in text
   assert '| Separate networks (proposed) | 0.500 ± 0.000 [0.395] | 0.500 | 0.500 |' in text
   assert '| Unified network | 0.250 ± 0.000 [0.386] | 0.250 | 0.250 |' in text
   assert 'Unified network: +0.250 ± 0.000 over 3 models, median +0.250, above in 100%' in text
@@ -46,6 +53,8 @@ def test_numbers_stand_beside_the_papers(given, capsys, models):
   with open(os.path.join(given['workdir'], 'tables', 'structure.json')) as f:
     table = json.load(f)
   separate, unified = table['iou']['rows']
+  (comparison,) = table['psnr_rgb']['comparisons']
+  assert (comparison['difference'], comparison['models'], comparison['above']) == (-1, 3, 0)
   assert separate['categories']['car'] == {
     'mean': 0.5,
     'error': 0,

@@ -7,7 +7,8 @@ import synthetic
 from absl import flags
 
 from cvn.errors import UserError
-from experiments import protocol, study_shapes
+from experiments.lib import protocol
+from experiments.study import shapes as study_shapes
 
 
 def _define(f):
@@ -16,17 +17,23 @@ def _define(f):
 
 
 def _choose(tmp_path, *more):
-  return study_shapes.choose(studies.parse(_define, tmp_path, *more))
+  f = studies.parse(_define, tmp_path, *more)
+  return study_shapes.choose(protocol.read_flags(f), shapes=f.shapes, seed=f.study_seed)
+
+
+def _reconstruct(tmp_path, *more):
+  f = studies.parse(_define, tmp_path, *more)
+  chosen = study_shapes.choose(protocol.read_flags(f), shapes=f.shapes, seed=f.study_seed)
+  return chosen, study_shapes.reconstruct(protocol.read_flags(f), chosen, [f.ours, *f.against])
 
 
 def test_shapes_are_held_out_and_as_many_as_asked_for(tmp_path):
   made = studies.make_data(tmp_path)
   chosen = _choose(tmp_path, '--shapes=2')
-  assert [s.category for s in chosen] == ['chair', 'chair', 'ball', 'ball']
-  assert len({s.id for s in chosen}) == 4
+  assert [s.model.category for s in chosen] == ['chair', 'chair', 'ball', 'ball']
+  assert len({s.model.id for s in chosen}) == 4
   for s in chosen:
-    model = made.manifest.models[s.row]
-    assert (model.id, model.category, model.split) == (s.id, s.category, 'test')
+    assert s.model == made.manifest.models[s.row] and s.model.split == 'test'
     assert s.azimuth == made.manifest.azimuths[s.view]
   assert study_shapes.describe(chosen) == '4 shapes: 2 chair, 2 ball'
 
@@ -43,7 +50,7 @@ def test_the_seed_decides(tmp_path):
   drawn = {tuple(_choose(tmp_path, f'--study_seed={n}', '--shapes=1')) for n in range(8)}
   assert len(drawn) > 4
   assert len({s.view for some in drawn for s in some}) > 4
-  assert {s.id for some in drawn for s in some} == {'m0', 'm1', 'm2', 'm3', 'm5'}
+  assert {s.model.id for some in drawn for s in some} == {'m0', 'm1', 'm2', 'm3', 'm5'}
 
 
 def test_no_finished_test_model(tmp_path):
@@ -71,25 +78,24 @@ def test_methods_that_cannot_be_compared(tmp_path, wrong, message):
 def test_each_category_is_reconstructed_by_its_own_networks(tmp_path, monkeypatch):
   made = studies.make_data(tmp_path)
   asked = studies.without_networks(monkeypatch)
-  f = studies.parse(_define, tmp_path, '--seeds=7', '--against=flow')
-  shapes = study_shapes.choose(f)
-  found = list(study_shapes.reconstruct(f, shapes))
-  assert [r.shape for r in found] == shapes
+  chosen, found = _reconstruct(tmp_path, '--seeds=7', '--against=flow')
+  found = list(found)
+  assert [r.pick for r in found] == chosen
   assert asked == [(m, c, '7') for c in ('chair', 'ball') for m in ('blended_0.2', 'flow')]
   for results in found:
     assert list(results.voxels) == ['blended_0.2', 'flow']
     for method, voxels in results.voxels.items():
       np.testing.assert_array_equal(voxels.color, studies.make_box(method).color)
-    model = synthetic.make_record(results.shape.row, image_size=32, grid_size=studies.GRID)
+    model = synthetic.make_record(results.pick.row, image_size=32, grid_size=studies.GRID)
     np.testing.assert_array_equal(results.record.views, model.views)
-    assert made.manifest.models[results.shape.row].category == results.shape.category
+    assert made.manifest.models[results.pick.row] == results.pick.model
 
 
 def test_one_network_for_all_is_loaded_once(tmp_path, monkeypatch):
   studies.make_data(tmp_path)
   asked = studies.without_networks(monkeypatch)
-  f = studies.parse(_define, tmp_path, '--models=all')
-  assert len(list(study_shapes.reconstruct(f, study_shapes.choose(f)))) == 5
+  _, found = _reconstruct(tmp_path, '--models=all')
+  assert len(list(found)) == 5
   assert asked == [(m, 'all', '0') for m in ('blended_0.2', 'regression', 'flow')]
 
 
@@ -97,7 +103,7 @@ def test_methods_see_the_chosen_view_alone(tmp_path, monkeypatch):
   studies.make_data(tmp_path)
   seen = []
 
-  def make_predictor(f, method, category, seed):
+  def make_predictor(plan, method, category, seed):
     def predict(views):
       seen.append(views)
       return [studies.make_box(method)]
@@ -105,9 +111,9 @@ def test_methods_see_the_chosen_view_alone(tmp_path, monkeypatch):
     return predict
 
   monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
-  f = studies.parse(_define, tmp_path, '--models=all', '--against=flow', '--shapes=1')
-  for results in study_shapes.reconstruct(f, study_shapes.choose(f)):
+  _, found = _reconstruct(tmp_path, '--models=all', '--against=flow', '--shapes=1')
+  for results in found:
     for views in seen:
-      np.testing.assert_allclose(views, results.record.views[[results.shape.view]] / 255, rtol=1e-6)
+      np.testing.assert_allclose(views, results.record.views[[results.pick.view]] / 255, rtol=1e-6)
     assert len(seen) == 2
     seen.clear()

@@ -5,10 +5,14 @@ import json
 import numpy as np
 import pytest
 import synthetic
+import workdirs
 from absl import flags
 
-from experiments import ablation, table_iou, table_psnr, tables
-from experiments.tables import AVERAGE, Row, Scores
+from experiments.lib import protocol, tables
+from experiments.lib.tables import AVERAGE, Row, Scores
+from experiments.paper import ablation
+from experiments.paper import iou as table_iou
+from experiments.paper import psnr as table_psnr
 
 CAR = Scores(('a', 'b', 'c'), np.array([[0.1, 0.2, 0.3], [0.3, 0.4, 0.5]]))
 CHAIR = Scores(('d',), np.array([[0.6], [0.8]]))
@@ -47,11 +51,27 @@ def test_methods_are_compared_model_by_model():
   better = Row(
     'ours', {c: s._replace(values=s.values + 0.125) for c, s in other.scores.items()}, {}
   )
-  line = tables.compare(better, other, '.3f')
-  assert line == (
+  found = tables.compare(better, other)
+  assert found == (
+    'ours',
+    'other',
+    0.125,
+    pytest.approx(0),
+    4,
+    0.125,
+    1,
+    pytest.approx([0.125, 0.125]),
+  )
+  assert tables.to_line(found, '.3f') == (
     'ours - other: +0.125 ± 0.000 over 4 models, median +0.125, above in 100%;'
     ' by seed +0.125, +0.125'
   )
+
+
+def test_one_model_has_no_error():
+  one = {'chair': CHAIR._replace(values=CHAIR.values[:1])}
+  found = tables.compare(Row('a', one, {}), Row('b', one, {}))
+  assert (found.error, found.models, found.above, found.seeds) == (0, 1, 0, [])
 
 
 def test_json_has_no_nan():
@@ -66,18 +86,20 @@ def test_json_has_no_nan():
   }
 
 
-def report(value, baseline=0.25):
+def report(value, split='test', baseline=0.25):
   """What experiments.evaluate says of two cars and a chair, two views each."""
   models = {'a': 'car', 'b': 'car', 'c': 'chair'}
 
   def by_model(x):
     metrics = dict.fromkeys(('iou', 'psnr_rgb', 'psnr_ycbcr'))
     return {
-      name: {'category': category, **{k: [x, None, x + 0.5] for k in metrics}}
+      name: {'category': category, 'source': 'mine', **{k: [x, None, x + 0.5] for k in metrics}}
       for name, category in models.items()
     }
 
   return {
+    **{'data': 'D', 'split': split, 'shape': 'runs/msfcel_all_0'},
+    'options': {'runs': {'shape': {'step': 4, 'config': workdirs.CONFIG}}},
     'networks': {'by_model': by_model(value)},
     'baselines': {'by_model': by_model(baseline)},
   }
@@ -88,9 +110,9 @@ def evaluated(monkeypatch):
   """What is evaluated; methods score the better the longer their names."""
   asked = []
 
-  def evaluate(f, method, category, seed, *, split='test', threshold=None):
+  def evaluate(plan, method, category, seed, *, split='test', threshold=None):
     asked.append((method, category, seed, split, threshold))
-    return report(len(method))
+    return report(len(method), split)
 
   monkeypatch.setattr(tables.protocol, 'evaluate', evaluate)
   monkeypatch.setattr(tables.protocol, 'categories', lambda _: ['car', 'chair'])
@@ -130,7 +152,8 @@ def test_programs_print_and_write_the_tables(program, name, arguments, evaluated
   else:
     assert '| Ours (α = 0.2) | 11.25 ± 0.00 [10.881] |' in told
     assert table['psnr_ycbcr']['rows'][1]['categories']['chair']['published'] == 22.750
-    assert table['epochs'] == 500
+    assert table['psnr_rgb']['comparisons'][0]['difference'] == 7
+  assert table['runs']['msfcel_all_0']['batch_size'] == 2 and table['argv'][0] == 'python'
 
 
 def test_the_ablation_tells_gains_on_val_and_test(evaluated, tmp_path, capsys):
@@ -146,14 +169,18 @@ def test_the_ablation_tells_gains_on_val_and_test(evaluated, tmp_path, capsys):
   assert '| + threshold chosen on val | 14.250 (+27%) | 14.25 (+3.00 dB) |' in told
   assert 'IoU: best - paper: -7.000 ± 0.000 over 3 models, median -7.000, above in 0%' in told
   table = json.loads((tmp_path / 'tables' / 'ablation.json').read_text())
-  assert len(table['test']['psnr_rgb']) == len(ablation.STEPS)
+  assert len(table['test']['psnr_rgb']['rows']) == len(ablation.STEPS)
+  (comparison,) = table['test']['iou']['comparisons']
+  assert (comparison['better'], comparison['difference']) == ('best', -7)
+  assert table['val']['iou']['comparisons'] == []
 
 
 def test_a_model_for_each_category_is_judged_by_its_own(evaluated, tmp_path):
   f = flags.FlagValues()
   table_iou.define_flags(f)
   f(['program', '--data=D', f'--workdir={tmp_path}'])
-  found = tables.collect(f, 'msfcel', 'iou')
+  results = tables.evaluate(protocol.read_flags(f), 'msfcel')
+  found = tables.select(results, 'iou')
   assert [(m, c) for m, c, *_ in evaluated] == [('msfcel', 'car'), ('msfcel', 'chair')]
   assert found['car'].models == ('a', 'b') and found['chair'].models == ('c',)
   np.testing.assert_allclose(found['car'].values, [[6.25, 6.25]])

@@ -20,6 +20,7 @@ from cvn import checkpoint, data, grid, losses
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
+from experiments.lib import training
 
 
 class TrainState(NamedTuple):
@@ -102,6 +103,7 @@ def run(made, workdir, *arguments, network='shape', epochs=2):
       '--batch_size=2',
       '--validate_every=1',
       '--log_every=3',
+      '--dtype=float32',
       *arguments,
     )
   )
@@ -148,7 +150,7 @@ def test_trains(made, tmp_path, network):
   assert [line['epoch'] for line in log] == [1, 1, 1.5, 2, 2]
   assert set(log[1]['validation']) == ({'loss', 'iou'} if network == 'shape' else {'loss'})
   config, variables = checkpoint.load_network(str(tmp_path / 'run'), network)
-  assert (config['batch_size'], config['models'], config['learning_rate']) == (2, 4, None)
+  assert (config['batch_size'], config['models'], config['learning_rate']) == (2, 4, 3e-4)
   assert variables['params']['w'].shape == (3,)
   assert os.listdir(tmp_path / 'run' / 'tensorboard')
 
@@ -275,25 +277,35 @@ def test_nan_stops_and_is_not_saved(made, tmp_path, monkeypatch):
 )
 def test_another_setting_is_refused(made, tmp_path, changed, name):
   run(made, tmp_path / 'run', epochs=1)
-  with pytest.raises(UserError, match=f'was begun with {name}='):
+  with pytest.raises(UserError, match=f'was made with {name}='):
     run(made, tmp_path / 'run', changed)
 
 
 def test_the_other_network_in_the_workdir_is_refused(made, tmp_path):
   run(made, tmp_path / 'run', epochs=1)
-  with pytest.raises(UserError, match='was begun with network=shape, not color'):
+  with pytest.raises(UserError, match='was made with network=shape, not color'):
     run(made, tmp_path / 'run', network='color')
 
 
-def test_a_run_begun_before_there_was_a_dtype_goes_on_in_float32(made, tmp_path):
-  run(made, tmp_path / 'run', epochs=1)
-  path = tmp_path / 'run' / 'config.json'
-  config = json.loads(path.read_text())
-  assert config.pop('dtype') == 'float32'
-  path.write_text(json.dumps(config))
-  with pytest.raises(UserError, match='was begun with dtype=float32, not mixed'):
-    run(made, tmp_path / 'run', '--dtype=mixed')
-  assert run(made, tmp_path / 'run') == 0
+def test_fewer_epochs_than_there_are_is_an_error(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=2)
+  with pytest.raises(UserError, match='was trained for epochs=2, not 1: ask for more --epochs'):
+    run(made, tmp_path / 'run', epochs=1)
+
+
+def test_the_configuration_is_known_before_the_run(made, tmp_path):
+  run(made, tmp_path / 'run', '--learning_rate=0.01', '--recipe=best', epochs=1)
+  stored = checkpoint.read_config(str(tmp_path / 'run'))
+  named = {'network': 'shape', 'data': made, 'workdir': 'elsewhere', 'epochs': 1, 'batch_size': 2}
+  asked = training.configuration(**named, learning_rate=0.01, recipe='best')
+  assert stored == {'format': checkpoint.FORMAT, **asked}
+  assert (stored['recipe'], stored['sample'], stored['schedule']) == (
+    'best',
+    'foreground',
+    'cosine',
+  )
+  assert (stored['learning_rate'], stored['mirror'], stored['epochs']) == (0.01, True, 1)
+  assert stored['counts'] == {'ball (synthetic)': 4} and stored['models'] == 4
 
 
 def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path, monkeypatch):
@@ -336,11 +348,28 @@ def test_flags_change_the_recipe():
 
 def test_a_schedule_that_ends_is_for_one_number_of_epochs(made, tmp_path):
   run(made, tmp_path / 'run', '--schedule=cosine', epochs=1)
-  with pytest.raises(UserError, match='was begun with epochs=1, not 2'):
+  with pytest.raises(UserError, match='was made with epochs=1, not 2'):
     run(made, tmp_path / 'run', '--schedule=cosine', epochs=2)
 
 
-@pytest.mark.parametrize('dtype', program.DTYPES)
+@pytest.mark.parametrize('dtype', training.DTYPES)
+def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
+  made, tmp_path, monkeypatch, capsys, dtype
+):
+  monkeypatch.setattr(training.native, 'faster_dtype', lambda: (dtype, '3 ms are less than 4 ms'))
+  run(made, tmp_path / 'run', '--dtype=auto', epochs=1)
+  assert checkpoint.read_config(str(tmp_path / 'run'))['dtype'] == dtype
+  assert f'--dtype=auto is {dtype}: 3 ms are less than 4 ms' in capsys.readouterr().out
+  # Another machine, where the other type is faster.
+  (other,) = {*training.DTYPES} - {dtype}
+  monkeypatch.setattr(training.native, 'faster_dtype', lambda: (other, ''))
+  assert run(made, tmp_path / 'run', '--dtype=auto', epochs=2) == 0
+  assert f'--dtype=auto is {dtype}: {tmp_path / "run"} was begun with it' in capsys.readouterr().out
+  with pytest.raises(UserError, match=f'dtype={dtype}, not {other}'):
+    run(made, tmp_path / 'run', f'--dtype={other}', epochs=3)
+
+
+@pytest.mark.parametrize('dtype', training.DTYPES)
 @pytest.mark.parametrize(
   ('heads', 'name'), [('dense', 'make_step'), ('surface', 'make_surface_step')]
 )

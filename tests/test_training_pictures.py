@@ -5,7 +5,7 @@ import pytest
 import synthetic
 
 from cvn import data, grid, train
-from experiments import training_pictures as program
+from experiments.lib import training_pictures as program
 
 
 @pytest.mark.parametrize('kind', ['shape', 'color'])

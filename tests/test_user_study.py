@@ -12,8 +12,9 @@ from PIL import Image
 
 from cvn import figures
 from cvn.grid import ColoredVoxels
-from experiments import protocol, user_study
-from experiments.user_study import COLUMNS, GREY
+from experiments.lib import protocol
+from experiments.study import __main__ as user_study
+from experiments.study.__main__ import COLUMNS, GREY
 
 
 @pytest.fixture(scope='module')

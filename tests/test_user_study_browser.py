@@ -14,7 +14,7 @@ import pytest
 import studies
 from absl import flags
 
-from experiments import user_study_chart
+from experiments.study import chart as user_study_chart
 
 webdriver = pytest.importorskip('selenium.webdriver', reason='needs selenium')
 

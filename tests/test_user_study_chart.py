@@ -6,7 +6,7 @@ import pytest
 from absl import flags
 
 from cvn.errors import UserError
-from experiments import user_study_chart
+from experiments.study import chart as user_study_chart
 
 KEY = {
   'page': 'abc',

@@ -5,8 +5,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from experiments import user_study_page
-from experiments.user_study_page import SUBJECT, Pair, Sheet, Study
+from experiments.study import page as user_study_page
+from experiments.study.page import SUBJECT, Pair, Sheet, Study
 
 STUDY = Study(
   'Two & <three>.',

@@ -7,9 +7,9 @@ import pytest
 import studies
 
 from cvn import figures
-from experiments import user_study_standin
-from experiments.scoring import PSNR_CEILING
-from experiments.user_study_standin import GREY, LABEL
+from experiments.lib.scoring import PSNR_CEILING
+from experiments.study import standin as user_study_standin
+from experiments.study.standin import GREY, LABEL
 
 
 def test_the_truth_is_like_itself():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cvn import export, grid
-from experiments import viewer
+from experiments.lib import viewer
 
 webdriver = pytest.importorskip('selenium.webdriver', reason='needs selenium')
 support = pytest.importorskip('selenium.webdriver.support.ui')

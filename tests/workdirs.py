@@ -1,36 +1,41 @@
 """Miniature --workdir folders as the programs of tables and figures leave them; no networks."""
 
 import json
-import types
 
 import numpy as np
 from PIL import Image
 
-from cvn import figures
-from experiments import people_analysis, people_report, protocol, tables
-from experiments.tables import AVERAGE, Row, Scores
+from experiments.lib import protocol, runs, tables
+from experiments.lib.runs import Run
+from experiments.lib.tables import AVERAGE, Row, Scores
+from experiments.paper.people import analysis as people_analysis
+from experiments.paper.people import summary as people_report
 
 AZIMUTHS = (0, 90, 180, 270)
-SETTINGS = {
+CONFIG = {  # of a run, as experiments.train stores it
+  'format': 1,
   'data': 'DATA',
-  'models': 'all',
-  'epochs': 8,
-  'batch_size': 2,
-  'learning_rate': 0.001,
+  'data_digest': '0123456789abcdef',
+  'models': 4,
+  'counts': {'car (synthetic)': 2, 'chair (synthetic)': 2},
+  'network': 'shape',
   'dtype': 'mixed',
-  'seeds': ['0'],
-  'fresh_statistics': 20,
-  'train_source': [],
+  'heads': 'dense',
+  'category': [],
   'source': [],
-  'threshold': 'paper',
-  'quick': False,
+  'batch_size': 2,
+  'fresh_statistics': 20,
+  'seed': 0,
+  'recipe': 'paper',
+  'learning_rate': 0.001,
 }
 
 
-def settings(**changes):
-  """What `tables.describe` says of the flags."""
-  found = {n: types.SimpleNamespace(value=v) for n, v in (SETTINGS | changes).items()}
-  return tables.describe(found)
+def source(program='paper.iou', *, data='DATA', seeds=1, **changes):
+  """What a program tells of how it made its results: command, data set, runs."""
+  argv = ['python', '-m', f'experiments.{program}', f'--data={data}', '--workdir=/x/work']
+  used = [Run(f'msfcel_all_{n}', CONFIG | {'seed': n} | changes, 4) for n in range(seeds)]
+  return {'argv': argv, 'data': data, 'runs': runs.to_json(used)}
 
 
 def row(method, base, published=None, *, seeds=1):
@@ -48,31 +53,27 @@ def write_json(path, value):
 
 def write_tables(folder, *, seeds=1, **changes):
   """Tables 1 to 3, the ablation and the structure analysis."""
-  common = settings(seeds=[str(n) for n in range(seeds)], **changes)
   paper = {'car': 0.395, 'chair': 0.18, AVERAGE: 0.298}
 
-  def part(rows, form='.3f'):
-    return {
-      'rows': tables.to_json(rows),
-      'comparisons': [tables.compare(rows[0], r, form) for r in rows[1:]],
-    }
+  def write(name, program, table):
+    told = source(program, seeds=seeds, **changes)
+    write_json(folder / f'tables/{name}.json', told | table)
+
+  def part(rows):
+    return tables.to_part(rows, [tables.compare(rows[0], r) for r in rows[1:]])
 
   shapes = [
     row('msfcel', 0.3, paper, seeds=seeds),
     row('cross_entropy', 0.25, {**paper, AVERAGE: 0.4}, seeds=seeds),
   ]
-  write_json(folder / 'tables/iou.json', common | {'paper': part(shapes), 'val': part(shapes)})
+  write('iou', 'paper.iou', {'paper': part(shapes), 'val': part(shapes)})
   colors = [row('blended_0.2', 16), row('flow', 15)]
-  psnr = {m: part(colors, '.2f') for m in ('psnr_rgb', 'psnr_ycbcr')}
-  write_json(folder / 'tables/psnr.json', common | psnr)
-  steps = tables.to_json([row('paper', 0.2), row('plus_threshold', 0.25)])
-  line = tables.compare(row('best', 0.25), row('paper', 0.2), '.3f')
-  both = {m: steps for m in ('iou', 'psnr_rgb')}
-  ablation = {'comparisons': dict.fromkeys(both, line), 'val': both, 'test': both}
-  write_json(folder / 'tables/ablation.json', common | ablation)
-  rows = tables.to_json(shapes)
-  structure = {m: {'rows': rows, 'comparison': line} for m in ('iou', 'psnr_rgb')}
-  write_json(folder / 'tables/structure.json', common | structure)
+  write('psnr', 'paper.psnr', {m: part(colors) for m in ('psnr_rgb', 'psnr_ycbcr')})
+  steps = [row('paper', 0.2), row('plus_threshold', 0.25)]
+  last = tables.compare(row('best', 0.25), row('paper', 0.2))
+  both = {m: tables.to_part(steps, [last]) for m in ('iou', 'psnr_rgb')}
+  write('ablation', 'paper.ablation', {'val': both, 'test': both})
+  write('structure', 'paper.structure', {m: part(shapes) for m in ('iou', 'psnr_rgb')})
 
 
 def write_people(folder):
@@ -90,29 +91,26 @@ def write_people(folder):
     tested=complexity,
     analysis=people_analysis.analyze(AZIMUTHS, iou, complexity),
   )
-  write_json(
-    folder / 'tables/people.json', settings(models='category') | people_report.to_json(study)
-  )
+  told = source('paper.people', category=['human'])
+  write_json(folder / 'tables/people.json', told | people_report.to_json(study))
   write_figure(folder / 'figures/people_azimuth.png')
 
 
 def write_training(folder, name='msfcel_all_0', **changes):
   """A training of 2 epochs: 4 steps of 2 views, a loss that falls."""
-  config = {'network': 'shape', 'recipe': 'paper', 'batch_size': 2, 'models': 4, 'seed': 0}
-  config |= {'category': [], 'dtype': 'mixed', 'learning_rate': 0.001, 'fresh_statistics': 20}
-  write_json(folder / 'runs' / name / 'config.json', config | {'data': 'DATA'} | changes)
+  write_json(folder / 'runs' / name / 'config.json', CONFIG | changes)
   lines = [{'step': n, 'epoch': n / 2, 'loss': 1 / n} for n in (1, 2, 3, 4)]
   lines.append({'step': 4, 'epoch': 2, 'validation': {'loss': 0.5, 'iou': 0.125}})
   log = folder / 'runs' / name / 'log.jsonl'
   log.write_text(''.join(json.dumps(x) + '\n' for x in lines))
 
 
-def write_figure(path, caption=''):
-  """A red picture, with the caption drawn below it where there is one."""
+def write_figure(path, caption='', program='paper.figures.random'):
+  """A red picture, with its caption beside it where there is one."""
   image = np.full((6, 300, 3), (200, 0, 0), np.uint8)
   if caption:
-    image = figures.stack([image, figures.draw_text(caption, 300)])
-    write_json(path.with_suffix('.json'), settings() | {'caption': caption, 'figure_seed': 7})
+    told = source(program) | {'caption': caption, 'figure_seed': 7}
+    write_json(path.with_suffix('.json'), told)
   path.parent.mkdir(parents=True, exist_ok=True)
   Image.fromarray(image).save(path)
 
@@ -124,7 +122,7 @@ def write_all(folder, **changes):
   write_training(folder)
   write_training(folder, 'blended_all_0', network='color')
   write_figure(folder / 'figures/random.png', 'Drawn at random, <b>not</b> chosen: seed 7.')
-  write_figure(folder / 'user_study/standin.png')
+  write_figure(folder / 'user_study/standin.png', 'Of no person.', 'study.standin')
   command = 'python -m experiments.train --workdir=/home/someone/work/runs/msfcel_all_0 --seed=0'
   write_json(folder / 'seconds.json', {command: 90.0})
   return folder

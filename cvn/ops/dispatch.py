@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax.experimental.custom_partitioning import custom_partitioning
 from jax.sharding import NamedSharding, PartitionSpec
 
+from cvn.ops import native
+
 
 def call(
   name: str,
@@ -35,7 +37,8 @@ def call(
 
   def run(*arrays):
     local = [jax.ShapeDtypeStruct((len(arrays[0]), *r.shape[1:]), r.dtype) for r in results]
-    return tuple(jax.ffi.ffi_call(name, local, input_output_aliases=aliases)(*arrays, **attributes))
+    call = jax.ffi.ffi_call(native.target(name), local, input_output_aliases=aliases)
+    return tuple(call(*arrays, **attributes))
 
   if jax.device_count() == 1:  # the partitioner's callbacks would miss the compilation cache
     return run(*arrays)

@@ -1,27 +1,43 @@
-"""The compiled kernels of kernels/: built once with the machine's C++ compiler, and kept.
+"""The library of compiled kernels (kernels/): found or built, and registered with JAX.
 
-They are optional: without a compiler, deconv.py takes matrix products instead, which are several
-times slower, and one line says so. CVN_KERNELS=off does the same without a word, and
-CXX names another compiler. The library is kept in $XDG_CACHE_HOME/cvn (~/.cache/cvn), under a name
-that tells of the source, the compiler, the processor and the version of jaxlib.
+It is optional. The first of these that works is taken, and each failure gives one line:
+
+  CVN_KERNELS=off    no library; plain products serve, which are several times slower
+  CVN_KERNELS=PATH   this library
+  shipped            shipped/kernels-TARGET.so, if the package was installed from a wheel that has
+                     one for this processor
+  compiled           built on first use by the C++ compiler ($CXX, or the first that is found)
+  none               plain products
+
+A library that its trial refuses (timings.py) does not work. CVN_TARGET names the instruction set to
+compile for instead of this processor's own (compile.py); shipped libraries are then passed over.
+What is compiled is kept in $XDG_CACHE_HOME/cvn (~/.cache/cvn), under a name that depends on the
+source, the compiler, the target and jaxlib.
 """
 
+import atexit
+import contextlib
 import ctypes
 import functools
-import hashlib
 import os
 import pathlib
-import platform
+import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import jax
 import jaxlib
 from absl import logging
 
+from cvn import files
+from cvn.ops import compile as compiling
+from cvn.ops import timings
+
 SOURCE = pathlib.Path(__file__).with_name('kernels') / 'kernels.cc'
-BLOCKS = pathlib.Path(__file__).parent.with_name('blocks.cc')  # of cvn/environment.py
+SHIPPED = pathlib.Path(__file__).with_name('shipped')
 KERNELS = (
   'cvn_deconv',
   'cvn_deconv_gradient',
@@ -33,92 +49,207 @@ KERNELS = (
   'cvn_conv2d_input_gradient',
   'cvn_conv2d_kernel_gradient',
 )
-_COMPILERS = ('c++', 'g++', 'clang++')
-_FLAGS = ('-std=c++17', '-O3', '-shared', '-fPIC', '-Wno-psabi')
 
 
-@functools.cache
+class Library(NamedTuple):
+  """Kernels that are loaded and registered with JAX."""
+
+  path: pathlib.Path
+  origin: str  # 'named', 'shipped' or 'compiled'
+  instruction_set: str  # what it was compiled for, as it says itself
+  timings: timings.Timings  # on this processor
+  suffix: str  # of the names that its kernels are registered under
+
+
+_substitutes: list[Library | None] = []  # of `using`, the last one counts
+
+
+def library() -> Library | None:
+  """This process's library, None if there is none; the first call builds it if it must."""
+  return _substitutes[-1] if _substitutes else _choose()
+
+
 def available() -> bool:
-  """Whether `jax.ffi.ffi_call` finds the kernels; the first call builds them where it must."""
-  if os.environ.get('CVN_KERNELS', '') == 'off':
+  """Whether this process has compiled kernels."""
+  return library() is not None
+
+
+def wins(operation: str, *, mixed: bool) -> bool:
+  """Whether a kernel is available, and at least as fast as the plain product on this processor.
+
+  Args:
+    operation: 'deconv', 'conv', 'conv2d' or 'activated', with the gradients.
+    mixed: whether volumes, or the factors of conv2d, are bfloat16.
+  """
+  found = library()
+  if found is None:
     return False
+  times = found.timings.get(operation, {}).get('mixed' if mixed else 'float32')
+  return times is None or timings.wins(times)
+
+
+def faster_dtype() -> tuple[str, str]:
+  """The faster of 'float32' and 'mixed' for the networks' volumes on this machine, and why."""
+  if jax.default_backend() != 'cpu':
+    return 'mixed', f'a {jax.default_backend()} multiplies bfloat16 faster'
+  found = library()
+  if found is None:
+    return 'float32', 'there are no compiled kernels, and plain products multiply float32'
+  return timings.choose_dtype(found.timings)
+
+
+def target(kernel: str) -> str:
+  """The FFI target name of a kernel of `KERNELS` in this process's library."""
+  found = library()
+  return kernel + (found.suffix if found else '')
+
+
+@contextlib.contextmanager
+def using(substitute: Library | None) -> Iterator[None]:
+  """Replaces this process's library while a block runs, for measurements and tests.
+
+  It counts where functions are traced. A library whose timings are empty wins everywhere.
+  """
+  _substitutes.append(substitute)
   try:
-    library = ctypes.CDLL(str(build()))
-    for name in KERNELS:
-      capsule = jax.ffi.pycapsule(getattr(library, name))
-      jax.ffi.register_ffi_target(name, capsule, platform='cpu')
-  except (OSError, AttributeError, subprocess.SubprocessError) as e:
-    logging.warning(
-      'cvn: no compiled kernels, so that a CPU trains several times slower (%s)', _reason(e)
-    )
-    return False
-  return True
+    yield
+  finally:
+    _substitutes.pop()
 
 
-def build(folder: pathlib.Path | None = None, source: pathlib.Path = SOURCE) -> pathlib.Path:
-  """The path of the library; it is compiled where it is not there yet.
+def load(path: pathlib.Path, *, suffix: str | None = None) -> Library:
+  """Loads a library and registers its kernels with JAX, without a trial.
+
+  Several may be loaded, each with a suffix of its own.
+
+  Args:
+    path: of the library.
+    suffix: of the FFI target names; None for one that depends on the library's content.
+
+  Raises:
+    OSError: the file cannot be loaded.
+    AttributeError: it lacks a function.
+    RuntimeError: its kernels are for another version of XLA's interface.
+  """
+  loaded = ctypes.CDLL(str(path))
+  functions = {name: getattr(loaded, name) for name in KERNELS}
+  loaded.cvn_instruction_set.restype = ctypes.c_char_p
+  instruction_set = loaded.cvn_instruction_set().decode()
+  suffix = f'@{compiling.digest(path.read_bytes())}' if suffix is None else suffix
+  for name, function in functions.items():
+    capsule = jax.ffi.pycapsule(function)
+    jax.ffi.register_ffi_target(name + suffix, capsule, platform='cpu')
+  return Library(path, 'named', instruction_set, {}, suffix)
+
+
+def build(
+  folder: pathlib.Path | None = None,
+  source: pathlib.Path = SOURCE,
+  *,
+  target: str = compiling.NATIVE,
+  options: tuple[str, ...] = ('-O3',),
+) -> pathlib.Path:
+  """The path of a compiled library; compiles it if it is not there yet.
 
   Args:
     folder: where it is kept; None for the user's cache.
     source: what to compile; it may include headers beside it.
+    target: the instruction set, as of compile.compile_library.
+    options: more of the compiler's flags.
 
   Raises:
     OSError: there is no compiler, or the folder cannot be written.
     subprocess.SubprocessError: it does not compile.
   """
-  compiler = _compiler()
-  folder = folder or _cache()
-  version = subprocess.run([compiler, '--version'], capture_output=True, check=True, timeout=60)
-  headers = sorted(source.parent.glob('*.h'))
-  told = [f.read_bytes() for f in (source, *headers)]
-  told += [version.stdout, _processor().encode(), jaxlib.__version__.encode()]
-  path = folder / f'{source.stem}-{hashlib.sha256(b"|".join(told)).hexdigest()[:16]}.so'
-  if path.exists():
-    return path
-  folder.mkdir(parents=True, exist_ok=True)
-  handle, temporary = tempfile.mkstemp(suffix='.so', dir=folder)
-  os.close(handle)
-  try:
-    command = [compiler, *_FLAGS, '-isystem', jax.ffi.include_dir(), str(source), '-o', temporary]
-    try:
-      _compile([*command, '-march=native'])
-    except subprocess.CalledProcessError:  # the compiler does not know this processor
-      _compile(command)
-    os.replace(temporary, path)
-  finally:
-    pathlib.Path(temporary).unlink(missing_ok=True)
+  compiler = compiling.find_compiler()
+  version = subprocess.run(
+    [*shlex.split(compiler), '--version'], capture_output=True, check=True, timeout=60
+  )
+  flags = [*compiling.target_flags(target), *options]
+  if target == compiling.NATIVE:
+    flags.append(compiling.describe_processor())
+  told = [f.read_bytes() for f in (source, *sorted(source.parent.glob('*.h')))]
+  told += [version.stdout, ' '.join(flags).encode(), jaxlib.__version__.encode()]
+  path = (folder or cache_folder()) / f'{source.stem}-{compiling.digest(*told)}.so'
+  with files.locked(path.with_name('build.lock')):
+    if not path.exists():
+      include = [jax.ffi.include_dir()]
+      compiling.compile_library(
+        source, path, target=target, compiler=compiler, include=include, options=options
+      )
   return path
 
 
-def _compile(command):
-  subprocess.run(command, capture_output=True, check=True, timeout=600)
-
-
-def _compiler() -> str:
-  wanted = [os.environ['CXX']] if os.environ.get('CXX') else _COMPILERS
-  found = next((path for path in map(shutil.which, wanted) if path), None)
-  if found is None:
-    raise FileNotFoundError(f'no C++ compiler: {" or ".join(wanted)}')
-  return found
-
-
-def _cache() -> pathlib.Path:
+def cache_folder() -> pathlib.Path:
+  """The user's folder for what this package compiles and measures."""
   home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
   return pathlib.Path(home) / 'cvn'
 
 
-def _processor() -> str:
-  """What -march=native depends on."""
+@functools.cache
+def _choose() -> Library | None:
+  if os.environ.get('CVN_KERNELS') == 'off':
+    return None
+  for origin, find in (('named', _named), ('shipped', _shipped), ('compiled', _compiled)):
+    try:
+      path = find()
+      if path is not None:
+        folder = path.parent if origin == 'compiled' else cache_folder()
+        times = timings.find(path, folder)
+        return load(path, suffix='')._replace(origin=origin, timings=times)
+    except (OSError, AttributeError, RuntimeError, subprocess.SubprocessError) as e:
+      _tell_failure(origin, e)
+  return None
+
+
+def _named() -> pathlib.Path | None:
+  name = os.environ.get('CVN_KERNELS')
+  if not name:
+    return None
+  path = pathlib.Path(name)
+  if not path.is_file():
+    raise FileNotFoundError(f"{name!r} is neither 'off' nor a file")
+  return path.resolve()
+
+
+def _shipped() -> pathlib.Path | None:
+  if os.environ.get('CVN_TARGET'):
+    return None
+  paths = (SHIPPED / f'kernels-{name}.so' for name in compiling.usable_targets())
+  return next(filter(pathlib.Path.exists, paths), None)
+
+
+def _compiled() -> pathlib.Path:
+  target = os.environ.get('CVN_TARGET') or compiling.NATIVE
   try:
-    with open('/proc/cpuinfo') as f:
-      lines = {line for line in f if line.startswith(('model name', 'flags', 'Features'))}
+    return build(target=target)
+  except OSError as e:
+    if _is_writable(cache_folder()):
+      raise
+    logging.warning(
+      'cvn: kernels are compiled for this process alone (%s): set XDG_CACHE_HOME to a folder that'
+      ' can be written',
+      compiling.reason(e),
+    )
+    folder = tempfile.mkdtemp(prefix='cvn-')
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return build(pathlib.Path(folder), target=target)
+
+
+def _tell_failure(origin, e):
+  if origin == 'compiled':
+    what = 'no compiled kernels, so that a CPU trains several times slower'
+  else:
+    what = {'named': 'CVN_KERNELS is passed over', 'shipped': 'shipped kernels are not used'}[
+      origin
+    ]
+  logging.warning('cvn: %s (%s)', what, compiling.reason(e))
+
+
+def _is_writable(folder):
+  try:
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+      return True
   except OSError:
-    lines = {platform.processor()}
-  return ''.join(sorted(lines)) + platform.machine()
-
-
-def _reason(e: BaseException) -> str:
-  """One line about what went wrong."""
-  told = getattr(e, 'stderr', None)
-  text = told.decode(errors='replace').strip() if told else str(e)
-  return next((line for line in text.splitlines() if 'error' in line), text.split('\n')[0])
+    return False

@@ -19,29 +19,34 @@ Vec AddNeighbours(Vec a, Vec b, std::integer_sequence<int, kIndex...>) {
 #endif
 }
 
-// The sums of 16 vectors' lanes, as one vector.
-inline Vec SumLanes(Vec* v) {
-  for (int n = 16; n > 1; n /= 2) {
-    for (int i = 0; i < n / 2; ++i) {
-      v[i] = AddNeighbours(v[2 * i], v[2 * i + 1], std::make_integer_sequence<int, 16>());
+// The sums of kLanes vectors' lanes, as one vector.
+CVN_INLINE Vec SumLanes(Vec* v) {
+#pragma GCC unroll 8
+  for (int64_t n = kLanes; n > 1; n /= 2) {
+#pragma GCC unroll 16
+    for (int64_t i = 0; i < n / 2; ++i) {
+      v[i] = AddNeighbours(v[2 * i], v[2 * i + 1], std::make_integer_sequence<int, kLanes>());
     }
   }
   return v[0];
 }
 
-// Sixteen voxels of one output: `from` are the taps' rows, `weight` is [27][wide].
+constexpr int64_t kVoxels = kRegisters / 2;  // whose sums are made at once
+
+// kVoxels voxels of one output, to `to`: `from` are the taps' rows, `weight` is [27][wide].
 template <typename Width>
-Vec Convolve16(const float* const* from, const float* weight, Width wide) {
-  Vec sum[16] = {};
+void Convolve(const float* const* from, const float* weight, Width wide, float* to) {
+  Vec sum[kVoxels] = {};
   for (int t = 0; t < kTaps; ++t) {
     const float* row = from[t];
     for (int64_t c = 0; c < wide; c += kLanes) {
       const Vec factor = Load(weight + t * wide + c);
 #pragma GCC unroll 16
-      for (int i = 0; i < 16; ++i) sum[i] += Load(row + i * wide + c) * factor;
+      for (int64_t i = 0; i < kVoxels; ++i) sum[i] += Load(row + i * wide + c) * factor;
     }
   }
-  return SumLanes(sum);
+#pragma GCC unroll 16
+  for (int64_t i = 0; i < kVoxels; i += kLanes) Store(to + i, SumLanes(sum + i));
 }
 
 // What makes planes of the output: each for one kind of products.
@@ -64,13 +69,13 @@ class Convolution<Vectors> {
 
   // Of a plane's buffer, whose rows and voxels have a margin of one.
   int64_t padded() const { return wide_; }
-  int64_t row_size() const { return (RoundUp(s_.z, kLanes) + 2) * wide_; }
+  int64_t row_size() const { return (RoundUp(s_.z, kVoxels) + 2) * wide_; }
   int64_t rows() const { return s_.y + 2; }
 
   // Three planes -> [y][z][out].
   void Plane(const float* const* planes, float* out) const {
     // Along y first: two thirds of what a voxel reads is then in the nearest cache.
-    for (int64_t z = 0; z < s_.z; z += kLanes) {
+    for (int64_t z = 0; z < s_.z; z += kVoxels) {
       for (int64_t y = 0; y < s_.y; ++y) {
         const float* from[kTaps];
         for (int t = 0; t < kTaps; ++t) {
@@ -79,10 +84,9 @@ class Convolution<Vectors> {
         float* to = out + (y * s_.z + z) * s_.cout;
         for (int64_t o = 0; o < s_.cout; ++o) {
           const float* weight = weight_.data() + o * kTaps * wide_;
-          const Vec sums = wide_ == 2 * kLanes
-                               ? Convolve16(from, weight, std::integral_constant<int64_t, 32>())
-                               : Convolve16(from, weight, wide_);
-          for (int64_t i = 0; i < std::min(kLanes, s_.z - z); ++i) to[i * s_.cout + o] = sums[i];
+          float sums[kVoxels];
+          WithChannels(wide_, [&](auto wide) { Convolve(from, weight, wide, sums); });
+          for (int64_t i = 0; i < std::min(kVoxels, s_.z - z); ++i) to[i * s_.cout + o] = sums[i];
         }
       }
     }

@@ -121,7 +121,7 @@ struct MapTerms;
 template <>
 struct MapTerms<Vectors> {
   const Map& s;
-  const int64_t run = s.size * s.cin, deep = RoundUp(run, 8), wide = RoundUp(s.cout, kLanes);
+  const int64_t run = s.size * s.cin, deep = run, wide = RoundUp(s.cout, kLanes);
   const int64_t row_size = RoundUp((s.w + s.size) * s.cin + deep, kLanes);
 
   int64_t rows_size(int64_t rows) const { return rows * row_size; }
@@ -142,11 +142,59 @@ struct MapTerms<Vectors> {
         a[i] = rows + (2 * i + t) * row_size;
         b[i] = gradient + i * gradient_size();
       }
-      AddOuter(static_cast<int>(count), a, 2 * s.cin, b, wide, s.w / 2, deep, wide,
+      AddOuter<Floats>(static_cast<int>(count), a, 2 * s.cin, b, wide, s.w / 2, deep, wide,
                total + t * deep * wide, wide);
     }
   }
 };
+
+#if CVN_PAIRS
+
+// A row of the input is [words][size * in]: what two neighbours of the output read.
+template <>
+struct MapTerms<Pairs> {
+  const Map& s;
+  const int64_t run = s.size * s.cin, deep = RoundUp(run, kLanes), wide = RoundUp(s.cout, kLanes);
+  const int64_t words = (s.w / 2 + 1) / 2;
+
+  int64_t rows_size(int64_t rows) const { return 2 * rows * words * deep; }
+  int64_t gradient_size() const { return 2 * words * wide; }
+  int64_t total_size() const { return s.size * deep * wide; }
+  int64_t TotalAt(int64_t ty, int64_t tx, int64_t c) const {
+    return (ty * deep + tx * s.cin + c) * wide;
+  }
+
+  void PutRows(const float* x, int64_t first, int64_t rows, Bf16* to) const {
+    Scratch<float> row((4 * words + s.size) * s.cin + deep);
+    for (int64_t i = 0; i < rows; ++i) {
+      CopyRows(x, s.h, s.w, s.cin, first + i, 1, s.low(), 0, row.data());
+      for (int64_t j = 0; j < words; ++j, to += 2 * deep) {
+        Pairs::Join(row.data() + 4 * j * s.cin, row.data() + (4 * j + 2) * s.cin, deep, to);
+      }
+    }
+  }
+  void PutGradient(const float* dy, Bf16* to) const {
+    Scratch<float> row(2 * words * wide);
+    Pad(dy, s.w / 2, s.cout, wide, row.data());
+    for (int64_t j = 0; j < words; ++j) {
+      Pairs::Join(row.data() + 2 * j * wide, row.data() + (2 * j + 1) * wide, wide,
+                  to + 2 * j * wide);
+    }
+  }
+  void Add(int64_t count, const Bf16* rows, const Bf16* gradient, float* total) const {
+    const Bf16 *a[kMaxTaps], *b[kMaxTaps];
+    for (int64_t t = 0; t < s.size; ++t) {
+      for (int64_t i = 0; i < count; ++i) {
+        a[i] = rows + rows_size(2 * i + t);
+        b[i] = gradient + i * gradient_size();
+      }
+      Pairs::AddOuter(static_cast<int>(count), a, deep, b, wide, words, deep, wide,
+                      total + t * deep * wide);
+    }
+  }
+};
+
+#endif  // CVN_PAIRS
 
 #if CVN_TILES
 

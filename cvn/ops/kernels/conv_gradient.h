@@ -7,28 +7,50 @@
 
 namespace cvn {
 
-// What eight voxels get from all taps: `from` are the taps' rows, `weight` is [taps][wide].
-template <typename Width>
-void Spread8(int64_t taps, const float* const* from, int64_t at, const float* weight, Width wide,
-             float* to) {
-  constexpr int64_t kVecs = 2;
-  for (int64_t c = 0; c < wide; c += kVecs * kLanes) {
-    const bool pair = wide - c >= kVecs * kLanes;
-    Vec first[8] = {}, second[8] = {};
-    for (int64_t n = 0; n < taps; ++n) {
-      const float* left = from[n] + at;
-      const Vec a = Load(weight + n * wide + c);
-      const Vec b = pair ? Load(weight + n * wide + c + kLanes) : Vec{};
+// What a block of voxels gets from all taps, whose rows are `from`; `weight` is [taps][wide].
+template <int kRows, int kVecs>
+void Spread(int64_t taps, const float* const* from, int64_t at, const float* weight, int64_t wide,
+            float* to) {
+  Vec sum[kRows][kVecs] = {};
+  for (int64_t n = 0; n < taps; ++n, weight += wide) {
+    const float* left = from[n] + at;
+    Vec right[kVecs];
 #pragma GCC unroll 8
-      for (int i = 0; i < 8; ++i) {
-        first[i] += left[i] * a;
-        if (pair) second[i] += left[i] * b;
-      }
+    for (int v = 0; v < kVecs; ++v) right[v] = Load(weight + v * kLanes);
+#pragma GCC unroll 16
+    for (int m = 0; m < kRows; ++m) {
+#pragma GCC unroll 8
+      for (int v = 0; v < kVecs; ++v) sum[m][v] += left[m] * right[v];
     }
-    for (int i = 0; i < 8; ++i) {
-      Store(to + i * wide + c, first[i]);
-      if (pair) Store(to + i * wide + c + kLanes, second[i]);
+  }
+  for (int m = 0; m < kRows; ++m) {
+    for (int v = 0; v < kVecs; ++v) Store(to + m * wide + v * kLanes, sum[m][v]);
+  }
+}
+
+// One block of a kernel's gradient: adds the products of all voxels' values with what each tap's
+// row holds there.
+template <int kRows, int kVecs>
+void AddTaps(const float* const* from, const float* values, int64_t wide, int64_t voxels,
+             float* total) {
+  Vec sum[kRows][kVecs];
+  for (int m = 0; m < kRows; ++m) {
+    for (int v = 0; v < kVecs; ++v) sum[m][v] = Load(total + m * wide + v * kLanes);
+  }
+  const float* rows[kRows];
+  for (int m = 0; m < kRows; ++m) rows[m] = from[m];
+  for (int64_t z = 0; z < voxels; ++z, values += wide) {
+    Vec right[kVecs];
+#pragma GCC unroll 8
+    for (int v = 0; v < kVecs; ++v) right[v] = Load(values + v * kLanes);
+#pragma GCC unroll 16
+    for (int m = 0; m < kRows; ++m) {
+#pragma GCC unroll 8
+      for (int v = 0; v < kVecs; ++v) sum[m][v] += rows[m][z] * right[v];
     }
+  }
+  for (int m = 0; m < kRows; ++m) {
+    for (int v = 0; v < kVecs; ++v) Store(total + m * wide + v * kLanes, sum[m][v]);
   }
 }
 
@@ -64,15 +86,12 @@ class ConvolutionGradient<Vectors> {
   // [z][in] for a row, from the planes before, at and behind its own.
   void Input(const float* const* planes, int64_t y, float* scratch, float* da) const {
     const auto from = Rows(planes, y);
-    for (int64_t z = 0; z < s_.z; z += 8) {
-      const auto spread = [&](auto wide) {
-        Spread8(taps_, from.data(), z, weight_.data(), wide, scratch + z * wide);
-      };
-      wide_ == 2 * kLanes ? spread(std::integral_constant<int64_t, 32>()) : spread(wide_);
-    }
+    ForBlocks(s_.z, wide_, [&](int64_t z, int64_t c, auto rows, auto vecs) {
+      Spread<rows, vecs>(taps_, from.data(), z, weight_.data() + c, wide_, scratch + z * wide_ + c);
+    });
     Unpad(scratch, wide_, s_.z, s_.cin, da);
   }
-  int64_t scratch_size() const { return RoundUp(s_.z, 8) * wide_; }
+  int64_t scratch_size() const { return s_.z * wide_; }
 
   // A row of the input as AddTerms takes it: [z][wide].
   int64_t value_size() const { return s_.z * wide_; }
@@ -85,23 +104,14 @@ class ConvolutionGradient<Vectors> {
                 float* total) const {
     for (int row = 0; row < count; ++row, values += value_size()) {
       const auto from = Rows(planes, y + row);
-      for (int64_t c = 0; c < wide_; c += kLanes) {
-        for (int64_t n = 0; n < taps_; n += 9) {
-          Vec part[9];
-          for (int i = 0; i < 9; ++i) part[i] = Load(total + (n + i) * wide_ + c);
-          for (int64_t z = 0; z < s_.z; ++z) {
-            const Vec value = Load(values + z * wide_ + c);
-#pragma GCC unroll 9
-            for (int i = 0; i < 9; ++i) part[i] += from[n + i][z] * value;
-          }
-          for (int i = 0; i < 9; ++i) Store(total + (n + i) * wide_ + c, part[i]);
-        }
-      }
+      ForBlocks(taps_, wide_, [&](int64_t n, int64_t c, auto rows, auto vecs) {
+        AddTaps<rows, vecs>(from.data() + n, values + c, wide_, s_.z, total + n * wide_ + c);
+      });
     }
   }
 
  private:
-  int64_t row_size() const { return RoundUp(s_.z, 8) + 2; }
+  int64_t row_size() const { return s_.z + 2; }
   int64_t layer() const { return (s_.y + 2) * row_size(); }
 
   // Where each tap of each output finds what a row gave to.

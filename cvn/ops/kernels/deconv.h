@@ -95,12 +95,16 @@ void DeconvRows(const Volume& s, const Source<In>& in, const float* w, ffi::Thre
             a[n] = plane_at(x - i) + (y + 1 - j) * row_size + (1 - k) * deep;
             b[n] = weight.data() + tap * deep * wide;
           });
-          Product::Multiply(taps, a, deep, b, high, deep, wide, sum.data() + phase % 2 * wide,
-                            2 * wide);
+          Out* to = out + FineRow(s, sample, 2 * x + phase / 4, 2 * y + phase / 2 % 2) * 2 * s.z *
+                              s.cout;
+          float* row = sum.data();
+          if constexpr (std::is_same_v<Out, float>) {
+            if (wide == s.cout && high == s.z) row = to;
+          }
+          Product::Multiply(taps, a, deep, b, high, deep, wide, row + phase % 2 * wide, 2 * wide);
           if (phase % 2) {
-            const int64_t row = FineRow(s, sample, 2 * x + phase / 4, 2 * y + phase / 2 % 2);
-            Unpad(sum.data(), wide, 2 * s.z, s.cout, out + row * 2 * s.z * s.cout);
-            moments.AddRow(sum.data(), wide, 2 * s.z);
+            moments.AddRow(row, wide, 2 * s.z);
+            if (row == sum.data()) Unpad(row, wide, 2 * s.z, s.cout, to);
           }
         }
       }

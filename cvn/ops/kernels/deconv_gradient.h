@@ -19,13 +19,14 @@ struct FineRows<Vectors> {
 
   // Adds one strip's terms of a kernel's gradient.
   static void AddTerms(int count, const float* left, int64_t left_size, const float* const* rows,
-                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+                       int tap, int64_t high, int64_t wide_in, int64_t deep, int64_t wide_out,
+                       float* total) {
     const float *a[kMaxTaps], *b[kMaxTaps];
     for (int i = 0; i < count; ++i) {
       a[i] = left + i * left_size;
-      b[i] = rows[i] + tap * wide_out;
+      b[i] = rows[i] + tap * deep;
     }
-    AddOuter(count, a, wide_in, b, 2 * wide_out, high, wide_in, wide_out, total, wide_out);
+    AddOuter<Floats>(count, a, wide_in, b, 2 * deep, high, wide_in, wide_out, total, wide_out);
   }
 
   // f(gain x + offset) for the left side of these products: [z][wide].
@@ -36,6 +37,55 @@ struct FineRows<Vectors> {
     in.Row(row, wide, scratch, to);
   }
 };
+
+#if CVN_PAIRS
+
+// Behind the voxels, which are [2 high + 1][wide], there are for each tap along z the words of
+// pairs of voxels that are two apart.
+template <>
+struct FineRows<Pairs> {
+  static int64_t Words(int64_t high) { return (high + 1) / 2; }
+  static int64_t At(int64_t tap, int64_t high, int64_t wide) {
+    return (2 * high + 1 + 2 * tap * Words(high)) * wide;
+  }
+  static int64_t Size(int64_t high, int64_t wide) { return At(3, high, wide); }
+
+  static void Finish(int64_t z, int64_t high, int64_t wide, Bf16* row) {
+    for (int64_t t = 0; t < 3; ++t) {
+      Bf16* to = row + At(t, high, wide);
+      for (int64_t i = 0; i < z; i += 2, to += 2 * wide) {
+        Pairs::Join(row + (2 * i + t) * wide, row + std::min(2 * i + 2 + t, 2 * high) * wide, wide,
+                    to);
+      }
+    }
+  }
+
+  static void AddTerms(int count, const Bf16* left, int64_t left_size, const Bf16* const* rows,
+                       int tap, int64_t high, int64_t wide_in, int64_t, int64_t wide_out,
+                       float* total) {
+    const Bf16 *a[kMaxTaps], *b[kMaxTaps];
+    for (int i = 0; i < count; ++i) {
+      a[i] = left + i * left_size;
+      b[i] = rows[i] + At(tap, high, wide_out);
+    }
+    Pairs::AddOuter(count, a, wide_in, b, wide_out, Words(high), wide_in, wide_out, total);
+  }
+
+  // [words][wide]
+  static int64_t LeftSize(int64_t high, int64_t wide) { return 2 * Words(high) * wide; }
+  template <typename In>
+  static void Left(const Source<In>& in, int64_t row, int64_t high, int64_t wide, float* scratch,
+                   Bf16* to) {
+    float* voxels = scratch + RoundUp(in.padded, kLanes);
+    in.Row(row, wide, scratch, voxels);
+    std::fill_n(voxels + high * wide, wide, 0.0f);  // behind the last voxel of an odd number
+    for (int64_t i = 0; i < high; i += 2) {
+      Pairs::Join(voxels + i * wide, voxels + (i + 1) * wide, wide, to + i * wide);
+    }
+  }
+};
+
+#endif  // CVN_PAIRS
 
 #if CVN_TILES
 
@@ -65,7 +115,8 @@ struct FineRows<Tiles> {
   }
 
   static void AddTerms(int count, const Bf16* left, int64_t left_size, const Bf16* const* rows,
-                       int tap, int64_t high, int64_t wide_in, int64_t wide_out, float* total) {
+                       int tap, int64_t high, int64_t wide_in, int64_t, int64_t wide_out,
+                       float* total) {
     const Bf16 *a[kMaxTaps], *b[kMaxTaps];
     for (int i = 0; i < count; ++i) {
       a[i] = left + i * left_size;
@@ -103,7 +154,10 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
   using Element = typename Product::Element;
   using Fine = FineRows<Product>;
   const int64_t wide_in = RoundUp(s.cin, kLanes), wide_out = RoundUp(s.cout, kLanes);
-  const int64_t deep = RoundUp(s.cout, std::max(kLanes, Product::kDepth));
+  // Where the channels of three voxels fit one vector, voxels stand side by side: one product then
+  // makes the terms of all three taps along z.
+  const bool narrow = std::is_same_v<Product, Vectors> && 3 * s.cout <= kLanes;
+  const int64_t deep = narrow ? s.cout : RoundUp(s.cout, std::max(kLanes, Product::kDepth));
   const int64_t high = RoundUp(s.z, Product::kRows);
   Scratch<float> rounded = RoundedWeights<In>(w, kTaps * s.cin * s.cout);
   Scratch<Element> weight(kTaps * deep * wide_in);
@@ -120,7 +174,7 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     const int64_t kept_rows = 2 * s.y;
     Scratch<Element> buffer((kept_rows + 2 * kRows + 1) * row_size), left(kStrip * left_size);
     Scratch<float> fine(cotangent.padded), sum(high * wide_in), flat(in.padded);
-    Scratch<float> scratch(2 * (high * wide_in + in.padded)), total(kTaps * wide_in * wide_out);
+    Scratch<float> scratch(2 * ((high + 1) * wide_in + in.padded)), total(kTaps * wide_in * wide_out);
     Scratch<float> places(2 * in.padded);
     Sums moments(s.cin);
     std::vector<Element*> kept(kept_rows);
@@ -153,10 +207,10 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
         for (int i = 0; i < count; ++i) {
           Fine::Left(in, row + i, high, wide_in, scratch.data(), left.data() + i * left_size);
         }
-        for (int t = 0; t < kTaps; ++t) {
+        for (int t = 0; t < kTaps; t += narrow ? 3 : 1) {
           const Element* b[kStrip];
           for (int i = 0; i < count; ++i) b[i] = source[t / 9][2 * i + t / 3 % 3];
-          Fine::AddTerms(count, left.data(), left_size, b, t % 3, high, wide_in, wide_out,
+          Fine::AddTerms(count, left.data(), left_size, b, t % 3, high, wide_in, deep, wide_out,
                          total.data() + t * wide_in * wide_out);
         }
         for (int i = 0; i < count; ++i) {
@@ -165,7 +219,8 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
             a[t] = source[t / 9][2 * i + t / 3 % 3] + t % 3 * deep;
             b[t] = weight.data() + t * deep * wide_in;
           }
-          Product::Multiply(kTaps, a, 2 * deep, b, high, deep, wide_in, sum.data(), wide_in);
+          Product::Multiply(kTaps, a, 2 * deep, b, high, RoundUp(s.cout, Product::kDepth), wide_in,
+                            sum.data(), wide_in);
           if (wide_in != s.cin) Unpad(sum.data(), wide_in, s.z, s.cin, flat.data());
           in.Gradient(row + i, wide_in == s.cin ? sum.data() : flat.data(), places.data(), dx,
                       nullptr);
@@ -178,7 +233,9 @@ void DeconvGradients(const Volume& s, const Source<In>& in, const float* w,
     }
     moments.CopyTo(sums + sample * 2 * s.cin);
     for (int64_t t = 0; t < kTaps; ++t) {
-      Unpad(total.data() + t * wide_in * wide_out, wide_out, s.cin, s.cout,
+      const int64_t place = narrow ? t / 3 * 3 * wide_in * wide_out + t % 3 * s.cout
+                                   : t * wide_in * wide_out;
+      Unpad(total.data() + place, wide_out, s.cin, s.cout,
             dw + (sample * kTaps + t) * s.cin * s.cout);
     }
   });

@@ -82,7 +82,7 @@ ffi::Error Conv(ffi::ThreadPool pool, AnyArray x, Array gain, Array offset, Arra
   return WithType(x, [&](auto* in) {
     using In = Plain<decltype(in)>;
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvRows<decltype(product)>(s, source, w.typed_data(), pool, y->typed_data(),
                                   sums->typed_data());
     });
@@ -98,7 +98,7 @@ ffi::Error ConvGradient(ffi::ThreadPool pool, AnyArray x, Array gain, Array offs
     const Source<In> source(in, gain.typed_data(), offset.typed_data(), activation, s.z, s.cin);
     const Cotangent<float> cotangent(y.typed_data(), dy.typed_data(), dsums.typed_data(), s.z,
                                      s.cout);
-    WithProducts<In>([&](auto product) {
+    WithConvProducts<In>([&](auto product) {
       ConvGradients<decltype(product)>(s, source, w.typed_data(), cotangent, pool, Data(*dx, in),
                                        sums->typed_data(), dw->typed_data());
     });
@@ -182,6 +182,30 @@ ffi::Error Conv2DKernelGradient(ffi::ThreadPool pool, Array x, Array dy, Result 
 }
 
 }  // namespace
+
+// What the kernels were compiled for.
+extern "C" const char* cvn_instruction_set() {
+#define CVN_TEXT(x) #x
+#define CVN_STRING(x) CVN_TEXT(x)
+#if CVN_TILES
+#define CVN_SET "AVX-512 with BF16 and AMX"
+#elif CVN_PAIRS
+#define CVN_SET "AVX-512 with BF16"
+#elif defined(__AVX512VL__)
+#define CVN_SET "AVX-512"
+#elif defined(__AVX2__)
+#define CVN_SET "AVX2"
+#elif defined(__AVX__)
+#define CVN_SET "AVX"
+#elif defined(__aarch64__)
+#define CVN_SET "NEON"
+#elif defined(__SSE2__)
+#define CVN_SET "SSE2"
+#else
+#define CVN_SET "no vectors"
+#endif
+  return CVN_SET ", " CVN_STRING(CVN_LANES) " lanes";
+}
 
 #define CVN_KERNEL(name, function) \
   XLA_FFI_DEFINE_HANDLER_SYMBOL(name, function, ffi::Ffi::Bind().Ctx<ffi::ThreadPool>()

@@ -1,9 +1,10 @@
 // Matrix products of rows in the nearest cache: rows of C = sum over taps of rows of A_tap times
-// B_tap, in vectors of float32 or on tile units (AMX) of bfloat16.
+// B_tap, in vectors of float32, in vectors of bfloat16 pairs (AVX-512 BF16), or on tile units of
+// bfloat16 (AMX).
 //
-// Both come as a struct of the same form, so that a kernel is written once:
-//   Element        what A and B are made of;
-//   kRows, kDepth  what numbers of rows and of factors are rounded up to;
+// Each comes as a struct of the same form, so that a kernel is written once:
+//   Element        the type of the elements of A and B;
+//   kRows, kDepth  the numbers that counts of rows and of factors are rounded up to;
 //   Session        exists while a thread multiplies;
 //   Pack           makes B, [k][n] floats, k `k_stride` and n `n_stride` apart;
 //   Multiply       C = ..., for `rows`, `k` and `n` that are rounded up.
@@ -11,89 +12,10 @@
 #ifndef CVN_PRODUCTS_H_
 #define CVN_PRODUCTS_H_
 
-#include "common.h"
-
-#if defined(__AMX_BF16__) && defined(__AVX512BF16__) && defined(__linux__)
-#include <immintrin.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#define CVN_TILES 1
-#else
-#define CVN_TILES 0
-#endif
+#include "blocks.h"
+#include "tiles.h"
 
 namespace cvn {
-
-constexpr int kMaxTaps = kTaps;
-
-// One block of C in registers. A's rows are `a_stride` floats apart, B is [k][b_stride].
-template <int kRows, int kVecs>
-void Block(int taps, const float* const* a, int64_t a_stride, const float* const* b,
-           int64_t b_stride, int64_t k, float* c, int64_t c_stride) {
-  Vec sum[kRows][kVecs] = {};
-  for (int t = 0; t < taps; ++t) {
-    const float* row = a[t];
-    const float* panel = b[t];
-    for (int64_t i = 0; i < k; ++i, panel += b_stride) {
-      Vec right[kVecs];
-#pragma GCC unroll 4
-      for (int v = 0; v < kVecs; ++v) right[v] = Load(panel + v * kLanes);
-#pragma GCC unroll 16
-      for (int m = 0; m < kRows; ++m) {
-        const float left = row[m * a_stride + i];
-#pragma GCC unroll 4
-        for (int v = 0; v < kVecs; ++v) sum[m][v] += left * right[v];
-      }
-    }
-  }
-  for (int m = 0; m < kRows; ++m) {
-    for (int v = 0; v < kVecs; ++v) Store(c + m * c_stride + v * kLanes, sum[m][v]);
-  }
-}
-
-// One block of C += sum of A^T B, for A [k][m] and B with rows `a_stride` and `b_stride` apart.
-template <int kRows, int kVecs>
-void OuterBlock(int pairs, const float* const* a, int64_t a_stride, const float* const* b,
-                int64_t b_stride, int64_t k, float* c, int64_t c_stride) {
-  Vec sum[kRows][kVecs];
-  for (int m = 0; m < kRows; ++m) {
-    for (int v = 0; v < kVecs; ++v) sum[m][v] = Load(c + m * c_stride + v * kLanes);
-  }
-  for (int p = 0; p < pairs; ++p) {
-    const float *left = a[p], *row = b[p];
-    for (int64_t i = 0; i < k; ++i, left += a_stride, row += b_stride) {
-      Vec right[kVecs];
-#pragma GCC unroll 4
-      for (int v = 0; v < kVecs; ++v) right[v] = Load(row + v * kLanes);
-#pragma GCC unroll 16
-      for (int m = 0; m < kRows; ++m) {
-#pragma GCC unroll 4
-        for (int v = 0; v < kVecs; ++v) sum[m][v] += left[m] * right[v];
-      }
-    }
-  }
-  for (int m = 0; m < kRows; ++m) {
-    for (int v = 0; v < kVecs; ++v) Store(c + m * c_stride + v * kLanes, sum[m][v]);
-  }
-}
-
-// C [m][n] += sum of A_p^T B_p; m is a multiple of 8, n of kLanes.
-inline void AddOuter(int pairs, const float* const* a, int64_t a_stride, const float* const* b,
-                     int64_t b_stride, int64_t k, int64_t m, int64_t n, float* c,
-                     int64_t c_stride) {
-  const float *left[kMaxTaps], *right[kMaxTaps];
-  for (int64_t j = 0; j < n;) {
-    const bool wide = n - j >= 2 * kLanes;
-    for (int p = 0; p < pairs; ++p) right[p] = b[p] + j;
-    for (int64_t i = 0; i < m; i += 8) {
-      for (int p = 0; p < pairs; ++p) left[p] = a[p] + i;
-      float* out = c + i * c_stride + j;
-      const auto block = wide ? OuterBlock<8, 2> : OuterBlock<8, 1>;
-      block(pairs, left, a_stride, right, b_stride, k, out, c_stride);
-    }
-    j += wide ? 2 * kLanes : kLanes;
-  }
-}
 
 struct Vectors {
   using Element = float;
@@ -113,202 +35,95 @@ struct Vectors {
 
   static void Multiply(int taps, const float* const* a, int64_t a_stride, const float* const* b,
                        int64_t rows, int64_t k, int64_t n, float* c, int64_t c_stride) {
-    const float *left[kMaxTaps], *right[kMaxTaps];
-    for (int64_t j = 0; j < n;) {
-      const int64_t width = n - j >= 2 * kLanes ? 2 * kLanes : kLanes;
-      for (int t = 0; t < taps; ++t) right[t] = b[t] + j;
-      for (int64_t i = 0; i < rows;) {
-        for (int t = 0; t < taps; ++t) left[t] = a[t] + i * a_stride;
-        float* out = c + i * c_stride + j;
-        const auto block = [&](auto high, auto vecs) {
-          Block<high, vecs>(taps, left, a_stride, right, n, k, out, c_stride);
-          i += high;
-        };
-        constexpr std::integral_constant<int, 1> one;
-        constexpr std::integral_constant<int, 2> two;
-        constexpr std::integral_constant<int, 8> eight;
-        constexpr std::integral_constant<int, 16> sixteen;
-        const int64_t rest = rows - i;
-        if (width == 2 * kLanes) {
-          rest >= 8 ? block(eight, two) : block(one, two);
-        } else {
-          rest >= 16 ? block(sixteen, one) : rest >= 8 ? block(eight, one) : block(one, one);
-        }
-      }
-      j += width;
-    }
+    MultiplyRows<Floats>(taps, a, a_stride, b, rows, k, n, c, c_stride);
   }
 };
 
-#if CVN_TILES
+#if CVN_PAIRS
 
-// A tile is 16 rows of 64 bytes. Tiles 0 to 3 hold C, 4 and 5 A, 6 and 7 B.
-constexpr int64_t kTileRows = 16;
-constexpr int64_t kTileDepth = 32;  // bfloat16 in a row of A
-constexpr int64_t kTileSize = kTileRows * kTileDepth;
-
-inline bool TilesAllowed() {  // Linux has each process ask once
-  static const bool allowed = syscall(SYS_arch_prctl, 0x1023, 18) == 0;
-  return allowed;
-}
-
-// C, 16 kHigh by 16 kWide. A_tap's rows are `a_stride` elements apart and hold `depth` tiles' rows;
-// B_tap is [column of tiles][depth] tiles of pairs. With `kAdd` C is added to.
-template <int kHigh, int kWide, bool kAdd>
-void TileBlock(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
-               int64_t depth, float* c, int64_t c_stride) {
-  const int64_t bytes = a_stride * 2, c_bytes = c_stride * 4;
-  float* low = c + kTileRows * c_stride;
-  if constexpr (kAdd) {
-    _tile_loadd(0, c, c_bytes);
-    if constexpr (kWide > 1) _tile_loadd(1, c + kLanes, c_bytes);
-    if constexpr (kHigh > 1) _tile_loadd(2, low, c_bytes);
-    if constexpr (kHigh > 1 && kWide > 1) _tile_loadd(3, low + kLanes, c_bytes);
-  } else {
-    _tile_zero(0);
-    _tile_zero(1);
-    _tile_zero(2);
-    _tile_zero(3);
-  }
-  for (int t = 0; t < taps; ++t) {
-    for (int64_t s = 0; s < depth; ++s) {
-      const Bf16* left = a[t] + s * kTileDepth;
-      const Bf16* right = b[t] + s * kTileSize;
-      _tile_loadd(4, left, bytes);
-      _tile_loadd(6, right, 64);
-      _tile_dpbf16ps(0, 4, 6);
-      if constexpr (kWide > 1) {
-        _tile_loadd(7, right + depth * kTileSize, 64);
-        _tile_dpbf16ps(1, 4, 7);
-      }
-      if constexpr (kHigh > 1) {
-        _tile_loadd(5, left + kTileRows * a_stride, bytes);
-        _tile_dpbf16ps(2, 5, 6);
-      }
-      if constexpr (kHigh > 1 && kWide > 1) _tile_dpbf16ps(3, 5, 7);
-    }
-  }
-  _tile_stored(0, c, c_bytes);
-  if constexpr (kWide > 1) _tile_stored(1, c + kLanes, c_bytes);
-  if constexpr (kHigh > 1) _tile_stored(2, low, c_bytes);
-  if constexpr (kHigh > 1 && kWide > 1) _tile_stored(3, low + kLanes, c_bytes);
-}
-
-template <bool kAdd>
-void TileMultiply(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
-                  int64_t rows, int64_t k, int64_t n, float* c, int64_t c_stride) {
-  const int64_t depth = k / kTileDepth;
-  const Bf16 *left[kMaxTaps], *right[kMaxTaps];
-  for (int64_t j = 0; j < n; j += 2 * kLanes) {
-    const bool wide = n - j >= 2 * kLanes;
-    for (int t = 0; t < taps; ++t) right[t] = b[t] + j / kLanes * depth * kTileSize;
-    for (int64_t i = 0; i < rows; i += 2 * kTileRows) {
-      const bool high = rows - i >= 2 * kTileRows;
-      for (int t = 0; t < taps; ++t) left[t] = a[t] + i * a_stride;
-      const auto block = high ? (wide ? TileBlock<2, 2, kAdd> : TileBlock<2, 1, kAdd>)
-                              : (wide ? TileBlock<1, 2, kAdd> : TileBlock<1, 1, kAdd>);
-      block(taps, left, a_stride, right, depth, c + i * c_stride + j, c_stride);
-    }
-  }
-}
-
-struct Tiles {
+// Pairs of bfloat16 along the sum's axis stand together, in words.
+struct Pairs {
   using Element = Bf16;
-  static constexpr int64_t kRows = kTileRows, kDepth = kTileDepth;
-
-  class Session {
-   public:
-    Session() {
-      struct alignas(64) {
-        uint8_t palette = 1, start = 0, reserved[14] = {};
-        uint16_t bytes[16] = {};
-        uint8_t rows[16] = {};
-      } config;
-      for (int i = 0; i < 8; ++i) config.bytes[i] = 64, config.rows[i] = kTileRows;
-      _tile_loadconfig(&config);
-    }
-    ~Session() { _tile_release(); }
+  static constexpr int64_t kRows = 1, kDepth = 2;
+  struct Session {
+    ~Session() {}
   };
 
-  // [column of tiles][depth] tiles: rows of a tile are pairs of k, and a pair stands together.
   static void Pack(const float* from, int64_t k_stride, int64_t n_stride, int64_t k, int64_t n,
                    Bf16* to) {
-    const int64_t depth = RoundUp(k, kDepth) / kDepth;
-    for (int64_t j = 0; j < n; ++j) {
-      for (int64_t i = 0; i < k; ++i) {
-        const int64_t tile = j / kLanes * depth + i / kDepth;
-        const int64_t row = i % kDepth / 2, column = j % kLanes * 2 + i % 2;
-        to[tile * kTileSize + row * kDepth + column] =
-            ToBf16(from[i * k_stride + j * n_stride]);
+    for (int64_t i = 0; i < k; ++i) {
+      for (int64_t j = 0; j < n; ++j) {
+        to[(i / 2 * RoundUp(n, kLanes) + j) * 2 + i % 2] = ToBf16(from[i * k_stride + j * n_stride]);
       }
     }
   }
 
   static void Multiply(int taps, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
                        int64_t rows, int64_t k, int64_t n, float* c, int64_t c_stride) {
-    TileMultiply<false>(taps, a, a_stride, b, rows, k, n, c, c_stride);
+    const Word *left[kMaxTaps], *right[kMaxTaps];
+    AsWords(taps, a, left);
+    AsWords(taps, b, right);
+    MultiplyRows<Bf16Pairs>(taps, left, a_stride / 2, right, rows, k / 2, n, c, c_stride);
+  }
+
+  // C [m][n] += the sum over `count` factors of A^T B, both rows of words; strides are in words.
+  static void AddOuter(int count, const Bf16* const* a, int64_t a_stride, const Bf16* const* b,
+                       int64_t b_stride, int64_t k, int64_t m, int64_t n, float* c) {
+    const Word *left[kMaxTaps], *right[kMaxTaps];
+    AsWords(count, a, left);
+    AsWords(count, b, right);
+    cvn::AddOuter<Bf16Pairs>(count, left, a_stride, right, b_stride, k, m, n, c, n);
+  }
+
+  // Two rows of n numbers as one row of words; n is a multiple of kLanes.
+  template <typename T>
+  static void Join(const T* first, const T* second, int64_t n, Bf16* to) {
+    for (int64_t i = 0; i < n; i += kLanes) {
+      const Words words = Bits(first + i) | Bits(second + i) << 16;
+      std::memcpy(to + 2 * i, &words, sizeof words);
+    }
+  }
+
+ private:
+  static CVN_INLINE void AsWords(int count, const Bf16* const* from, const Word** to) {
+    for (int i = 0; i < count; ++i) to[i] = reinterpret_cast<const Word*>(from[i]);
+  }
+  static CVN_INLINE Words Bits(const Bf16* p) {
+    return __builtin_convertvector(*reinterpret_cast<const Halves*>(p), Words);
+  }
+  static CVN_INLINE Words Bits(const float* p) {
+    Bf16 rounded[kLanes];
+    Store(rounded, Load(p));
+    return Bits(rounded);
   }
 };
 
-// Rows of pairs for B of a product over rows: from two rows of floats or bfloat16, n a multiple of
-// kLanes; every 16 pairs go `stride` elements further.
-template <typename T>
-CVN_INLINE void InterleavePair(const T* first, const T* second, int64_t n, int64_t stride,
-                               Bf16* to) {
-  for (int64_t i = 0; i < n; i += kLanes, to += stride) {
-    const __m512bh both = _mm512_cvtne2ps_pbh(reinterpret_cast<__m512>(Load(second + i)),
-                                              reinterpret_cast<__m512>(Load(first + i)));
-    alignas(64) static const uint16_t kOrder[32] = {
-        0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23,
-        8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31};
-    const __m512i order = _mm512_load_si512(kOrder);
-    _mm512_storeu_si512(to, _mm512_permutexvar_epi16(order, (__m512i)both));
-  }
-}
+#endif
 
-// [16][stride] floats -> [16][to_stride] bfloat16, transposed.
-inline void Transpose16(const float* from, int64_t stride, Bf16* to, int64_t to_stride) {
-  __m512 r[16], s[16];
-  for (int i = 0; i < 16; ++i) r[i] = _mm512_loadu_ps(from + i * stride);
-#pragma GCC unroll 8
-  for (int i = 0; i < 16; i += 2) {
-    s[i] = _mm512_unpacklo_ps(r[i], r[i + 1]);
-    s[i + 1] = _mm512_unpackhi_ps(r[i], r[i + 1]);
-  }
-#pragma GCC unroll 4
-  for (int i = 0; i < 16; i += 4) {
-    for (int h = 0; h < 2; ++h) {
-      const __m512d a = _mm512_castps_pd(s[i + h]), b = _mm512_castps_pd(s[i + h + 2]);
-      r[i + 2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
-      r[i + 2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
-    }
-  }
-  // r[4 i + c]: in each quarter q, column 4 q + c of rows 4 i to 4 i + 3.
-#pragma GCC unroll 4
-  for (int c = 0; c < 4; ++c) {
-    const __m512 a = _mm512_shuffle_f32x4(r[c], r[4 + c], 0x88);
-    const __m512 b = _mm512_shuffle_f32x4(r[8 + c], r[12 + c], 0x88);
-    const __m512 d = _mm512_shuffle_f32x4(r[c], r[4 + c], 0xdd);
-    const __m512 e = _mm512_shuffle_f32x4(r[8 + c], r[12 + c], 0xdd);
-    s[c] = _mm512_shuffle_f32x4(a, b, 0x88);
-    s[8 + c] = _mm512_shuffle_f32x4(a, b, 0xdd);
-    s[4 + c] = _mm512_shuffle_f32x4(d, e, 0x88);
-    s[12 + c] = _mm512_shuffle_f32x4(d, e, 0xdd);
-  }
-  for (int i = 0; i < 16; ++i) Store(to + i * to_stride, reinterpret_cast<Vec>(s[i]));
-}
-
-#endif  // CVN_TILES
-
-// Calls f(Tiles or Vectors): tiles for volumes of bfloat16, where the processor has them.
+// Calls f(Tiles, Pairs or Vectors): the best that the processor has for volumes of T.
 template <typename T, typename F>
 void WithProducts(const F& f) {
-#if CVN_TILES
   if constexpr (std::is_same_v<T, Bf16>) {
+#if CVN_TILES
     if (TilesAllowed()) return f(Tiles());
-  }
 #endif
+#if CVN_PAIRS
+    return f(Pairs());
+#endif
+  }
   f(Vectors());
+}
+
+// The same for a convolution to a few channels, which has no program for pairs.
+template <typename T, typename F>
+void WithConvProducts(const F& f) {
+  WithProducts<T>([&](auto product) {
+    if constexpr (std::is_same_v<typename decltype(product)::Element, float>) return f(product);
+#if CVN_TILES
+    if constexpr (std::is_same_v<decltype(product), Tiles>) return f(product);
+#endif
+    f(Vectors());
+  });
 }
 
 }  // namespace cvn

@@ -1,0 +1,255 @@
+"""The paper's methods as trainings and evaluations, for the programs of its tables and figures.
+
+Everything lies below --workdir and is reused by all programs that ask for the same (see
+experiments.lib.runs):
+
+  runs/<training>_<category or 'all'>_<seed>                    what experiments.train writes
+  scores/<method>_<category or 'all'>_<seed>[_<source>]_<split>[_val].json
+                                                                what experiments.evaluate writes
+
+The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60. --quick
+trains one epoch, to see whether all works.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from absl import flags
+
+from cvn import methods
+from cvn.dataset import Manifest, open_dataset
+from cvn.errors import UserError
+from cvn.grid import ColoredVoxels
+from experiments.lib import runs, scoring
+from experiments.lib.methods import METHODS, TRAININGS
+from experiments.lib.runs import Run
+from experiments.lib.training import DTYPES
+
+ALL = 'all'  # in the place of a category: one model for all of them
+PAPER_CATEGORIES = ('car', 'table', 'chair', 'guitar')  # in the order of the paper's tables
+VALIDATIONS = 4  # in the course of a training
+VALIDATION_VIEWS = 60
+
+
+def define_flags(f: flags.FlagValues) -> None:
+  """The flags that the programs of tables and figures share."""
+  own = {'flag_values': f}
+  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'The folder of all trainings and results.', **own)
+  flags.DEFINE_bool('quick', False, 'One epoch: whether it works, not how well.', **own)
+  flags.DEFINE_list('category', [], "Categories; all of the data set's by default.", **own)
+  flags.DEFINE_enum(
+    'models',
+    'category',
+    ('category', ALL),
+    'Train a model for each category, as the paper does, or one for all categories.',
+    **own,
+  )
+  flags.DEFINE_list('seeds', ['0'], 'Of everything random; one training each.', **own)
+  flags.DEFINE_list('train_source', [], 'Sources of models to train on; all by default.', **own)
+  flags.DEFINE_list(
+    'source', [], 'Sources of models to validate and test on; all by default.', **own
+  )
+  flags.DEFINE_integer('epochs', 500, 'Of each training.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
+  flags.DEFINE_integer('fresh_statistics', 0, 'As of experiments.train.', lower_bound=0, **own)
+  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
+  flags.DEFINE_enum(
+    'threshold',
+    'paper',
+    ('paper', 'val'),
+    'From which score on a voxel is occupied: what the program of the paper has, 0.8 (of the'
+    ' adapted R2N2 always as chosen on the split val), or chosen on the split val for all.',
+    **own,
+  )
+  flags.mark_flags_as_required(['data', 'workdir'], f)
+
+
+class Plan(NamedTuple):
+  """On what networks are trained and evaluated, and how."""
+
+  data: str  # the folder or URL of the data set
+  workdir: str
+  categories: tuple[str, ...]  # empty for all of the data set
+  models: str  # 'category', or `ALL`
+  seeds: tuple[str, ...]
+  train_sources: tuple[str, ...]  # empty for all
+  sources: tuple[str, ...]  # of models to validate and test on; empty for all
+  epochs: int
+  batch_size: int
+  learning_rate: float | None  # None for the recipe's
+  fresh_statistics: int
+  dtype: str
+  threshold: str  # 'paper' or 'val'
+
+
+def read_flags(f: flags.FlagValues) -> Plan:
+  """The plan that the shared flags describe."""
+  return Plan(
+    f.data,
+    f.workdir,
+    tuple(f.category),
+    f.models,
+    tuple(f.seeds),
+    tuple(f.train_source),
+    tuple(f.source),
+    1 if f.quick else f.epochs,
+    f.batch_size,
+    f.learning_rate,
+    f.fresh_statistics,
+    f.dtype,
+    f.threshold,
+  )
+
+
+def categories(plan: Plan) -> list[str]:
+  """The plan's categories or, where it names none, the data set's, the paper's first.
+
+  Raises:
+    UserError: the data set has no such category.
+  """
+  known = {m.category for m in open_dataset(plan.data).manifest.models}
+  for name in plan.categories:
+    if name not in known:
+      raise UserError(f'{plan.data} has no category {name!r}; it has {", ".join(sorted(known))}')
+  wanted = plan.categories or (*PAPER_CATEGORIES, *sorted(known.difference(PAPER_CATEGORIES)))
+  return [c for c in wanted if c in known]
+
+
+def train(plan: Plan, training: str, category: str, seed: str) -> Run:
+  """Trains a network, or what is missing of it.
+
+  Args:
+    plan: how.
+    training: a key of `TRAININGS`.
+    category: or `ALL`.
+    seed: of everything random.
+
+  Raises:
+    UserError: the network that is there was trained otherwise.
+  """
+  named: dict[str, Any] = {
+    **TRAININGS[training],
+    'data': plan.data,
+    'workdir': os.path.join(plan.workdir, 'runs', f'{training}_{category}_{seed}'),
+    'category': ','.join(plan.categories) if category == ALL else category,
+    'source': ','.join(plan.train_sources),
+    'validation_source': ','.join(plan.sources),
+    'epochs': plan.epochs,
+    'batch_size': plan.batch_size,
+    'seed': seed,
+    'dtype': plan.dtype,
+    'fresh_statistics': plan.fresh_statistics,
+    'validate_every': max(1, plan.epochs // VALIDATIONS),
+    'validation_views': VALIDATION_VIEWS,
+  }
+  if plan.learning_rate is not None:
+    named['learning_rate'] = plan.learning_rate
+  return runs.train(plan.workdir, **named)
+
+
+def evaluate(
+  plan: Plan,
+  method: str,
+  category: str,
+  seed: str,
+  *,
+  split: str = 'test',
+  threshold: str | None = None,
+) -> dict[str, Any]:
+  """Evaluates a method on held-out models, training what it needs.
+
+  Args:
+    plan: how.
+    method: a key of `METHODS`.
+    category: of the models it was trained on and is evaluated on, or `ALL`.
+    seed: of everything random.
+    split: to evaluate on.
+    threshold: 'paper' or 'val', instead of the plan's.
+
+  Returns:
+    The report that experiments.evaluate writes.
+
+  Raises:
+    UserError: the networks or scores that are there were made otherwise.
+  """
+  own = METHODS[method]
+  chosen = 'val' in (own.threshold, threshold or plan.threshold)
+  workdirs = {'shape': train(plan, own.shape, category, seed).workdir}
+  if own.color:
+    workdirs['color'] = train(plan, own.color, category, seed).workdir
+  name = '_'.join([method, category, seed, *plan.sources, split, *(['val'] if chosen else [])])
+  return runs.evaluate(
+    plan.workdir,
+    data=plan.data,
+    split=split,
+    category=','.join(plan.categories) if category == ALL else category,
+    source=','.join(plan.sources),
+    alpha=own.alpha,
+    flip=str(own.flip).lower(),
+    carve=str(own.carve).lower(),
+    baselines='true',
+    json=os.path.join(plan.workdir, 'scores', f'{name}.json'),
+    **({'threshold': 'val'} if chosen else {}),
+    **workdirs,
+  )
+
+
+class Networks(NamedTuple):
+  """What a method reconstructs with."""
+
+  shape: scoring.Network
+  color: scoring.Network
+  threshold: float  # from which score on a voxel is occupied
+  alpha: float  # of the blend
+
+
+def load(plan: Plan, method: str, category: str, seed: str) -> Networks:
+  """A method's networks; trains and evaluates what it needs.
+
+  Arguments as of `evaluate`; the method must give colours.
+  """
+  own = METHODS[method]
+  dataset = open_dataset(plan.data)
+  report = evaluate(plan, method, category, seed)
+  shape, color = (
+    scoring.load(train(plan, training, category, seed).workdir, kinds, dataset)
+    for training, kinds in (
+      (own.shape, methods.SHAPE_KINDS),
+      (own.color, methods.COLOR_KINDS),
+    )
+  )
+  return Networks(shape, color, report['threshold'], report['alpha'])
+
+
+def make_predictor(
+  plan: Plan, method: str, category: str, seed: str
+) -> Callable[[np.ndarray], list[ColoredVoxels]]:
+  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+
+  Arguments as of `load`.
+  """
+  networks = load(plan, method, category, seed)
+  manifest = open_dataset(plan.data).manifest
+  return lambda views: predict(method, networks, views, manifest)
+
+
+def predict(
+  method: str, networks: Networks, views: np.ndarray, manifest: Manifest
+) -> list[ColoredVoxels]:
+  """What a method makes of views [V, H, W, 4] in [0, 1] of a data set."""
+  own = METHODS[method]
+  shape, color, threshold, alpha = networks
+  scores = scoring.score_views(manifest, shape, views, flip=own.flip, carve=own.carve)
+  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip}
+  options['grid_size'] = manifest.grid_size
+  colors = methods.colors(color.kind, color.variables, views, **options)
+  return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
+
+
+def trained_for(plan: Plan, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:
+  """Pairs (what a model is trained on, the categories it is evaluated on)."""
+  return [(ALL, [*wanted])] if plan.models == ALL else [(c, [c]) for c in wanted]

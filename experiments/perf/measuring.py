@@ -1,0 +1,238 @@
+"""What experiments.perf measures, each figure in a process of its own.
+
+So no figure knows of another's compiled programs, memory or threads, and the peak of a process is
+the peak of what it measured. Batches are noise of the shapes that training meets.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import platform
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, NamedTuple
+from unittest import mock
+
+import flax
+import jax
+import jaxlib
+import numpy as np
+
+from cvn import data, environment, reconstruct, train
+from cvn.camera import IMAGE_SIZE
+from cvn.data import Batch
+from cvn.dataset import open_dataset
+from cvn.errors import UserError
+from cvn.grid import GRID_SIZE
+from cvn.machine import processor
+from cvn.ops import deconv, native
+from cvn.recipe import PAPER
+from experiments import train as program
+from experiments.perf import layers
+
+SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
+REFERENCE_BATCH = 2  # the library's deconvolution takes seconds an image on a CPU
+SETTINGS = (
+  'LD_PRELOAD',
+  'GLIBC_TUNABLES',
+  'CVN_KERNELS',
+  'CVN_TARGET',
+  'XLA_FLAGS',
+)  # variables that speed depends on
+READERS = {'shape': data.read_shape, 'color': data.read_color}
+DATA_ROUNDS = 3
+DATA_STEPS = 10  # at least, in a round: more than is read ahead
+
+
+class Steps(NamedTuple):
+  """Training steps of one process."""
+
+  first: float  # s, with tracing and compiling
+  seconds: tuple[float, ...]  # of each step after it
+  peak: int  # bytes of memory, of the whole process
+  device_peak: int | None  # bytes of the device's own memory, where it has any
+
+
+class DataTimes(NamedTuple):
+  """Steps as the training program takes them: the next batch is read during each."""
+
+  synthetic: float  # s a step, with one batch over and over
+  real: float  # s a step, with batches that are read meanwhile
+  peak: int  # bytes of memory, of the whole process
+
+
+def alone(function: Callable, *args, programs: str | None = None) -> Any:
+  """function(*args), in a new process; with environment.prepare's settings of memory.
+
+  Args:
+    function: of a module, so that its name can be sent.
+    *args: what can be pickled.
+    programs: the folder of compiled programs; None for none but what the environment names.
+
+  Raises:
+    UserError: the process is killed, or it raises one itself.
+  """
+  context = multiprocessing.get_context('spawn')
+  initializer = () if programs is None else (environment.keep_programs, (programs,))
+  with ProcessPoolExecutor(1, context, *initializer) as executor:
+    try:
+      return executor.submit(_call, function, *args).result()
+    except BrokenProcessPool as e:
+      raise UserError(
+        f'the process of {function.__name__} was killed; if memory is short, take a smaller'
+        ' --batch_size'
+      ) from e
+
+
+def _call(function, *args):
+  environment.keep_memory()
+  with program.out_of_memory_is_a_user_error():
+    return function(*args)
+
+
+def describe_machine() -> dict[str, Any]:
+  """The machine, the device and the versions that matter; builds the kernels where it must."""
+  device = jax.devices()[0]
+  on_cpu = device.platform == 'cpu'
+  kernels = on_cpu and native.available()
+  return {
+    'processor': processor(),
+    'cores': os.cpu_count(),
+    'devices': f'{len(jax.devices())} x {device.device_kind}',
+    'compiled kernels': kernels,
+    'tile units': kernels and _has_tiles(),
+    'versions': {
+      'Python': platform.python_version(),
+      'jax': jax.__version__,
+      'jaxlib': jaxlib.__version__,
+      'flax': flax.__version__,
+    },
+    'settings': {name: os.environ[name] for name in SETTINGS if name in os.environ},
+  }
+
+
+def time_steps(kind: str, batch_size: int, mixed: bool, steps: int) -> Steps:
+  """Whole training steps: forward, loss, backward, Adam.
+
+  Args:
+    kind: 'shape' or 'color'.
+    batch_size: views.
+    mixed: whether in mixed precision.
+    steps: how many are timed after the first.
+  """
+  batch = make_batch(batch_size)
+  state, step = (
+    train.create_state(jax.random.key(0), kind),
+    train.make_step(kind, PAPER, mixed=mixed),
+  )
+  seconds = []
+  for _ in range(steps + 1):
+    start = time.perf_counter()
+    state, _ = jax.block_until_ready(step(state, batch))
+    seconds.append(time.perf_counter() - start)
+  statistic = jax.devices()[0].memory_stats() or {}
+  return Steps(seconds[0], tuple(seconds[1:]), peak_memory(), statistic.get('peak_bytes_in_use'))
+
+
+def time_reference(kind: str) -> Steps:
+  """One step of `REFERENCE_BATCH` views with the library's (de)convolutions, float32."""
+
+  def library(kernels, products, library, *arrays):
+    del kernels, products
+    return library(*arrays)
+
+  with mock.patch.object(deconv, 'by_platform', library):
+    return time_steps(kind, REFERENCE_BATCH, False, 1)
+
+
+def time_layers(kind: str, batch_size: int, mixed: bool) -> tuple[layers.Peaks, list[layers.Row]]:
+  """The machine's peaks and the layers' times."""
+  peaks = layers.measure_peaks()
+  return peaks, layers.time_layers(kind, batch_size, mixed, peaks)
+
+
+def time_inference(repeats: int) -> tuple[float, ...]:
+  """Seconds of each reconstruction of one picture by both networks, after one that is not timed."""
+  states = [train.create_state(jax.random.key(0), kind) for kind in ('shape', 'color')]
+  variables = [{'params': s.params, 'batch_stats': s.batch_stats} for s in states]
+  view = np.random.default_rng(0).random((1, IMAGE_SIZE, IMAGE_SIZE, 4), np.float32)
+  seconds = []
+  for _ in range(repeats + 1):
+    start = time.perf_counter()
+    jax.block_until_ready(reconstruct.reconstruct(*variables, view))
+    seconds.append(time.perf_counter() - start)
+  return tuple(seconds[1:])
+
+
+def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) -> DataTimes:
+  """Steps as the training program takes them, and the same on one batch of its over and over.
+
+  Args:
+    kind: 'shape' or 'color'.
+    batch_size: views.
+    mixed: whether in mixed precision.
+    steps: of each round, DATA_STEPS or more.
+    path: of the data set.
+
+  Raises:
+    UserError: there is no such data set, or it has too few models.
+  """
+  dataset = open_dataset(path)
+  program.check_sizes(dataset)
+  rows, read = data.select_rows(dataset, 'train'), READERS[kind]
+  batches = data.training_batches(read, dataset, rows, batch_size=batch_size, seed=0)
+  put_batch, put_state = program.make_placement(batch_size)
+  state = put_state(train.create_state(jax.random.key(0), kind))
+  step = train.make_step(kind, PAPER, mixed=mixed)
+
+  def seconds_a_step(next_batch):
+    nonlocal state
+    start = time.perf_counter()
+    for _ in range(max(steps, DATA_STEPS)):
+      batch = next_batch()
+      jax.block_until_ready(state)  # as the training program does
+      state, _ = step(state, batch)
+    jax.block_until_ready(state)
+    return (time.perf_counter() - start) / max(steps, DATA_STEPS)
+
+  with contextlib.closing(data.iterate(batches)) as iterator:
+    same = put_batch(next(iterator))
+    state, _ = step(state, same)
+    rounds = [
+      (seconds_a_step(lambda: same), seconds_a_step(lambda: put_batch(next(iterator))))
+      for _ in range(1 + DATA_ROUNDS)
+    ][1:]  # the first one warms up
+  return DataTimes(*map(statistics.median, zip(*rounds, strict=True)), peak_memory())
+
+
+def make_batch(size: int) -> Batch:
+  """A batch of noise on the device."""
+  rng = np.random.default_rng(0)
+  return jax.device_put(
+    Batch(
+      image=rng.random((size, IMAGE_SIZE, IMAGE_SIZE, 3), np.float32),
+      index=rng.integers(0, GRID_SIZE, (size, SURFACE_VOXELS, 3)).astype(np.int32),
+      color=rng.random((size, SURFACE_VOXELS, 3), np.float32),
+      flow=rng.random((size, SURFACE_VOXELS, 2), np.float32),
+    )
+  )
+
+
+def peak_memory() -> int:
+  """The most memory that this process has had, bytes."""
+  unit = 1 if sys.platform == 'darwin' else 1024
+  return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def _has_tiles():
+  """Whether the processor has units (AMX) for bfloat16 matrices, which the kernels then use."""
+  try:
+    with open('/proc/cpuinfo') as f:
+      return any(line.startswith('flags') and 'amx_bf16' in line.split() for line in f)
+  except OSError:
+    return False

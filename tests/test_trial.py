@@ -1,0 +1,62 @@
+"""The trial of a library: kernels and plain products are timed in turn, and must agree."""
+
+import json
+
+import jax.numpy as jnp
+import pytest
+
+from cvn.ops import native, trial
+from cvn.ops.trial import Layer
+
+SMALL = {
+  'deconv': ((2, 2, 3, 4, 16), (16,), (16,), (3, 3, 3, 16, 8)),
+  'conv': ((2, 2, 3, 4, 16), (16,), (16,), (3, 3, 3, 16, 3)),
+  'activated': ((2, 2, 3, 4, 3), (3,), (3,)),
+  'conv2d': ((2, 8, 8, 16), (3, 3, 16, 32)),
+}
+
+
+@pytest.fixture
+def library():
+  if not native.available():
+    pytest.skip('no C++ compiler here')
+  return native.library()
+
+
+@pytest.mark.parametrize('layer', trial.LAYERS, ids=lambda layer: layer.operation)
+def test_every_operation_is_timed_in_both_types(library, monkeypatch, layer):
+  monkeypatch.setattr(trial, 'SECONDS', 0)
+  found = trial.measure(library, layer._replace(shapes=SMALL[layer.operation]))
+  assert set(found) == {'float32', 'mixed'}
+  assert all(0 < t < 100 for times in found.values() for t in times)
+
+
+def test_the_layers_are_those_that_kernels_exist_for():
+  assert {layer.operation for layer in trial.LAYERS} == set(SMALL)
+  kernels = {name.removeprefix('cvn_').split('_')[0] for name in native.KERNELS}
+  assert kernels == set(SMALL)
+
+
+def differing(mixed, x, scale):
+  """Kernels give another value than the plain product."""
+  del mixed
+  return (x * scale * (3 if native.available() else 2),)
+
+
+def infinite(mixed, x, scale):
+  del mixed
+  return x * 2, scale * (jnp.nan if native.available() else 2)
+
+
+@pytest.mark.parametrize('function', [differing, infinite])
+def test_wrong_values_are_an_error(library, function):
+  layer = Layer('deconv', function, ((2, 3), (2, 3)))
+  with pytest.raises(ArithmeticError, match='deconv in float32 is wrong by'):
+    trial.measure(library, layer)
+
+
+def test_what_is_no_library_is_refused(tmp_path, capsys):
+  path = tmp_path / 'kernels.so'
+  path.write_text('no library')
+  assert trial.main(['trial', str(path)]) == 0
+  assert str(path) in json.loads(capsys.readouterr().out)['refused']
