@@ -107,7 +107,10 @@ def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
 
 
 _LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
-_PRODUCTS = {'deconv': matmul.deconv, 'conv': matmul.conv}
+_PRODUCTS = {
+  'deconv': (matmul.deconv, matmul.deconv_gradient),
+  'conv': (matmul.conv, matmul.conv_gradient),
+}
 
 
 def _run(name, x, gain, offset, kernel, activation, dtype, implementation):
@@ -182,40 +185,44 @@ def _kernel_gradient(name, activation, arrays, results, cotangents):
   return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
 
-def _plain(name, activation, dtype, x, gain, offset, kernel):
+def _plain(name, activation, dtype, *arrays):
   """(y, sums) of plain operations."""
-  y = _product(name, dtype, activated(x, gain, offset, activation), _rounded(kernel, x))
-  wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
-  return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+
+  def of_matrices(x, gain, offset, kernel):
+    return _PRODUCTS[name][0](x, gain, offset, _rounded(kernel, x), activation, dtype)
+
+  def of_library(x, gain, offset, kernel):
+    a = activated(x, gain, offset, activation)
+    y = _LIBRARY[name](a, kernel.astype(x.dtype)).astype(dtype)
+    wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
+    return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+
+  return dispatch.product(of_matrices, of_library, *arrays)
 
 
 def _plain_gradient(name, activation, arrays, results, cotangents):
   """Those of x, gain, offset and kernel. Makes the activations again, so that none are kept."""
-  (y, _), (dy, dsums) = results, cotangents
-  first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
-  dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
 
-  def value(x, gain, offset, kernel):
-    return _product(name, y.dtype, activated(x, gain, offset, activation), kernel)
+  def of_matrices(x, gain, offset, kernel, y, dy, dsums):
+    kernel = _rounded(kernel, x)
+    return _PRODUCTS[name][1](x, gain, offset, kernel, activation, y, dy, dsums)
 
-  # The cotangent is a factor of products too.
-  x, *rest, kernel = arrays
-  _, pull = jax.vjp(value, x, *rest, _rounded(kernel, x))
-  return pull(dy.astype(x.dtype).astype(y.dtype))
+  def of_library(x, gain, offset, kernel, y, dy, dsums):
+    first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
+    dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
+
+    def value(x, gain, offset, kernel):
+      return _LIBRARY[name](activated(x, gain, offset, activation), kernel).astype(y.dtype)
+
+    # The cotangent is a factor of products too.
+    _, pull = jax.vjp(value, x, gain, offset, kernel.astype(x.dtype))
+    *gradients, dkernel = pull(dy.astype(x.dtype).astype(y.dtype))
+    return *gradients, dkernel.astype(jnp.float32)
+
+  y, _ = results
+  return dispatch.product(of_matrices, of_library, *arrays, y, *cotangents)
 
 
 def _rounded(kernel, x):
   """The kernel as a factor of products with x: no more digits than x has."""
   return kernel.astype(x.dtype).astype(jnp.float32)
-
-
-def _product(name, dtype, a, kernel):
-  """The product of a and a kernel that is rounded as a is; the result has that type."""
-
-  def of_matrices(a, kernel):
-    return _PRODUCTS[name](a.astype(jnp.float32), kernel).astype(dtype)
-
-  def of_library(a, kernel):
-    return _LIBRARY[name](a, kernel.astype(a.dtype)).astype(dtype)
-
-  return dispatch.product(of_matrices, of_library, a, kernel)

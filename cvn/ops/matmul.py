@@ -1,34 +1,49 @@
-"""The stride-2 3x3x3 transposed convolution and the 3x3x3 convolution after it, as matrix products.
+"""The 3x3x3 transposed convolution of stride 2 and the 3x3x3 convolution, as matrix products.
 
 deconv.py uses them on a CPU without compiled kernels: XLA runs a convolution with dilated input in
-naive loops there, two hundred times slower than a matrix product. Along one axis,
-output 2j reads (x[j], w[0]) and (x[j-1], w[2]), output 2j+1 reads (x[j], w[1]): SAME padding of the
-authors' framework. The eight parities of an output voxel are its phases; in phase layout, a map
-is [B, X, Y, Z, 2, 2, 2, C], where entry (x, y, z, p, q, r) is voxel (2x + p, 2y + q, 2z + r).
-Kernels are [3, 3, 3, in, out].
+naive loops there, two hundred times slower than a matrix product. deconv.py defines the operations,
+their results and gradients; `kernel` comes rounded to the digits of `x`, and is float32.
+
+A loop goes over slabs of the volume x [B, X, Y, Z, in]. So everything between the volumes that are
+read and the volume that is written stays in the cache: the shifted copies that the products read
+have 8 to 27 times as many numbers as the volume. A slab [n, S, Y, Z, in] is a few planes of one
+sample (n = 1), or n whole samples (S = X). Where a batch is spread over several devices, each of
+them runs the whole loop.
 """
+
+import math
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+
+from cvn.ops.normalization import Activation, activated
+
+_DECONV_ROWS, _CONV_ROWS = 4096, 8192  # voxels of x in a slab, at most
+_BLOCK = 4  # voxels along z that conv takes together, at most
+_TAPS = [(i, j, k) for i in range(3) for j in range(3) for k in range(3)]
 
 # [shift, parity, tap]: the output of that parity reads the input that many blocks back by that tap.
 _DECONV_TAPS = np.zeros((2, 2, 3), np.float32)
 _DECONV_TAPS[[0, 0, 1], [0, 1, 0], [0, 1, 2]] = 1
 
-# [parity, reach, tap]: a block's voxel of that parity gives to voxel reach - 1, counted from the
-# block's first, by that tap; a block reaches one voxel past itself on both sides.
-_CONV_TAPS = np.zeros((2, 4, 3), np.float32)
-for _parity in range(2):
-  for _tap in range(3):
-    _CONV_TAPS[_parity, _parity - _tap + 2, _tap] = 1
 
+def deconv(
+  x: jax.Array,
+  gain: jax.Array,
+  offset: jax.Array,
+  kernel: jax.Array,
+  activation: Activation,
+  dtype: Any,
+) -> tuple[jax.Array, jax.Array]:
+  """(y, sums); y has that type.
 
-def deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """[B, X, Y, Z, in], [3, 3, 3, in, out] -> [B, 2X, 2Y, 2Z, out].
-
-  One product of the input's eight shifted copies with a matrix that holds the taps, and zeros where
-  a phase does not read a shift: 27 of its 64 blocks are filled, yet it beats eight exact products.
+  Along an axis, output 2j reads (a[j], w[0]) and (a[j-1], w[2]), output 2j+1 reads (a[j], w[1]). So
+  an even plane of y is a product of eight shifted copies of a, an odd plane one of four; 27 of 48
+  blocks of the two matrices are filled.
   """
   b, *size, cin = x.shape
   slabs, cout = _slabs(x.shape, _DECONV_ROWS), kernel.shape[-1]
@@ -61,14 +76,53 @@ def deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
   return y.reshape(b, *(2 * s for s in size), cout), jnp.sum(sums, 0)
 
 
-def conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
-  """3x3x3 SAME convolution: [B, X, Y, Z, in], [3, 3, 3, in, out] -> [B, X, Y, Z, out].
+def deconv_gradient(
+  x: jax.Array,
+  gain: jax.Array,
+  offset: jax.Array,
+  kernel: jax.Array,
+  activation: Activation,
+  y: jax.Array,
+  dy: jax.Array,
+  dsums: jax.Array,
+) -> tuple[jax.Array, ...]:
+  """Gradients of x, gain, offset and kernel from the cotangents of y and sums.
 
-  One product makes what every block of 2^3 voxels gives to the 4^3 voxels it reaches, and the
-  overlaps are added.
+  Output 2j + t reads a[j] by tap t, so that row j of the copies holds the 27 outputs behind 2j.
   """
-  sizes = x.shape[1:4]
-  x = jnp.pad(x, ((0, 0), *((0, s % 2) for s in sizes), (0, 0)))
+  slabs, (cin, cout) = _slabs(x.shape, _DECONV_ROWS), kernel.shape[-2:]
+  step = 2 * slabs[2]
+  first = _total(y[:, step::step], dy[:, step::step], dsums, x.dtype)
+  behind = _pad(first, 1, (0, 1))  # the plane behind each slab of y
+
+  def gather(y, dy, behind):
+    g = jnp.concatenate([_total(y, dy, dsums, x.dtype), behind], 1)
+    g = _pad(_pad(g, 2, (0, 1)), 3, (0, 1))
+    ends = [s - 2 for s in g.shape[1:4]]
+    return [
+      g[:, i : i + ends[0] : 2, j : j + ends[1] : 2, k : k + ends[2] : 2] for i, j, k in _TAPS
+    ]
+
+  weights = kernel.swapaxes(3, 4).reshape(27 * cout, cin)
+  arrays = _split(y, slabs), _split(dy, slabs), _split(behind, slabs)
+  *gradients, dweights = _gradients((x, gain, offset), activation, weights, slabs, gather, arrays)
+  return *gradients, dweights.reshape(3, 3, 3, cout, cin).swapaxes(3, 4)
+
+
+def conv(
+  x: jax.Array,
+  gain: jax.Array,
+  offset: jax.Array,
+  kernel: jax.Array,
+  activation: Activation,
+  dtype: Any,
+) -> tuple[jax.Array, jax.Array]:
+  """(y, sums); y has that type.
+
+  One product makes what each block of voxels along z gives to the voxels that it reaches: 3 x 3
+  rows, each of the block's length and 2 more. The loop sums the rows over y. The sums over x come
+  after it, since a slab also gives to planes of its neighbours, and then the overlaps along z.
+  """
   b, sx, sy, sz, cin = x.shape
   slabs, cout, block = _slabs(x.shape, _CONV_ROWS), kernel.shape[-1], math.gcd(sz, _BLOCK)
   matrix = _window_matrix(kernel, block)
@@ -115,8 +169,19 @@ def conv_gradient(
   slabs, block = _slabs(x.shape, _CONV_ROWS), math.gcd(sz, _BLOCK)
   total = _total(y, dy, dsums, x.dtype)
   for axis in (1, 2, 3):
-    y = _add_overlaps(y, axis, axis + 3)
-  return _interleave(y)[:, : sizes[0], : sizes[1], : sizes[2]]
+    total = _pad(total, axis, (1, 1))
+  rows = [total[:, :, :, e : e + sz - block + 1 : block] for e in range(block + 2)]
+  planes = np.arange(0, sx, slabs[2])[:, None] + np.arange(slabs[2] + 2)
+  windows = jnp.concatenate(rows, -1)[:, planes]  # a slab's planes and one on both sides
+  windows = windows.reshape(*slabs[:2], slabs[2] + 2, *windows.shape[3:])
+
+  def gather(g):
+    n = g.shape[1] - 2
+    return [g[:, 2 - i : 2 - i + n, 2 - j : 2 - j + sy] for i in range(3) for j in range(3)]
+
+  matrix, pull = jax.vjp(lambda k: _window_matrix(k, block).T, kernel)
+  *gradients, dmatrix = _gradients((x, gain, offset), activation, matrix, slabs, gather, (windows,))
+  return *gradients, *pull(dmatrix)
 
 
 def deconv_matrix(kernel: jax.Array) -> jax.Array:
@@ -126,7 +191,7 @@ def deconv_matrix(kernel: jax.Array) -> jax.Array:
 
 def conv_matrix(kernel: jax.Array) -> jax.Array:
   """[8 * in, 64 * out]: from a block's eight voxels to the 4^3 they reach."""
-  return _matrix(_CONV_TAPS, kernel)
+  return _matrix(_conv_taps(2), kernel)
 
 
 def _window_matrix(kernel: jax.Array, block: int) -> jax.Array:
@@ -215,19 +280,3 @@ def _matrix(taps: np.ndarray, kernel: jax.Array) -> jax.Array:
     kernel = jnp.tensordot(kernel, taps, ((0,), (2,)))
   # now [in, out, from, to, from, to, from, to]
   return kernel.transpose(2, 4, 6, 0, 3, 5, 7, 1).reshape(n**3 * cin, m**3 * cout)
-
-
-def _add_overlaps(y: jax.Array, axis: int, reach: int) -> jax.Array:
-  """Folds the four voxels that a block reaches along an axis into the block's own two."""
-  before, first, second, after = (
-    jax.lax.index_in_dim(y, i, reach, keepdims=True) for i in range(4)
-  )
-  last = y.shape[axis] - 1
-
-  def shifted(v, low):
-    edge = [(0, 0)] * v.ndim
-    edge[axis] = (1, 0) if low else (0, 1)
-    start = 0 if low else 1
-    return jnp.pad(jax.lax.slice_in_dim(v, start, start + last, axis=axis), edge)
-
-  return jnp.concatenate([first + shifted(after, True), second + shifted(before, False)], reach)
