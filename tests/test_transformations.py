@@ -224,20 +224,17 @@ def variables():
 
 @pytest.fixture(scope='module')
 def image():
-  return jax.random.uniform(jax.random.key(1), (2, 32, 32, 3))
+  """Eight: the statistics of two make the gradient so steep that rounding moves it by 0.4 %."""
+  return jax.random.uniform(jax.random.key(1), (8, 32, 32, 3))
 
 
-@pytest.mark.xfail(
-  strict=False,
-  reason='known fault: gradients of the smallest network differ by more than this bound',
-)
 def test_an_ensemble_of_networks(variables, image):
   """Inference and gradients of training."""
   networks = [jax.tree.map(lambda a, n=n: a * (1 + 0.1 * n), variables) for n in range(2)]
   logits, training = jax.jit(jax.vmap(network_values, (0, None)))(stack(networks), image)
   want_logits, want = stack([plain_network(v, image) for v in networks])
   assert_close(logits, want_logits, 1e-4)
-  assert_near(training, want, 1e-3)
+  assert_near(training, want, 1e-4)
 
 
 def test_images_of_any_leading_shape(variables, image):
@@ -245,19 +242,15 @@ def test_images_of_any_leading_shape(variables, image):
 
   @jax.jit
   def run(image):
-    nested = apply(variables, image.reshape(1, 2, 1, 32, 32, 3))
+    nested = apply(variables, image.reshape(2, 1, 4, 32, 32, 3))
     return nested, apply(variables, image[0]), jax.vmap(apply, (None, 0))(variables, image)
 
   nested, one, mapped = run(image)
-  assert_close(nested, logits.reshape(1, 2, 1, 16, 16, 16, 1), 1e-4)
+  assert_close(nested, logits.reshape(2, 1, 4, 16, 16, 16, 1), 1e-4)
   assert_close(one, logits[0], 1e-4)
   assert_close(mapped, logits, 1e-4)
 
 
-@pytest.mark.xfail(
-  strict=False,
-  reason='known fault: gradients of the smallest network differ by more than this bound',
-)
 def test_a_hessian_vector_product_of_a_network(variables, image):
   params, statistics = variables['params'], variables['batch_stats']
   direction = jax.tree.map(lambda a: 0.1 * draw(40, *a.shape) * jnp.std(a), params)
@@ -270,7 +263,7 @@ def test_a_hessian_vector_product_of_a_network(variables, image):
   def gradient(params):
     return plain_network({'params': params, 'batch_stats': statistics}, image)[1][1]
 
-  assert_near(product(params), differences(gradient, (params,), (direction,)), 0.02)
+  assert_near(product(params), differences(gradient, (params,), (direction,), step=1e-3), 0.02)
 
 
 @needs_kernels
@@ -289,10 +282,6 @@ def test_a_network_in_other_types(variables, image):
   assert_close(jax.jit(apply)(low, half), want, 1e-4)
 
 
-@pytest.mark.xfail(
-  strict=False,
-  reason='known fault: gradients of the smallest network differ by more than this bound',
-)
 def test_a_network_in_x64_mode(variables, image):
   """Nothing becomes float64: not parameters, nor results, nor gradients."""
   logits, training = plain_network(variables, image)
@@ -305,4 +294,4 @@ def test_a_network_in_x64_mode(variables, image):
     got = jax.jit(network_values)(variables, wide)
   assert {a.dtype for a in jax.tree.leaves(got)} == {np.dtype('float32')}
   assert_close(got[0], logits, 1e-4)
-  assert_near(got[1], training, 1e-3)
+  assert_near(got[1], training, 1e-4)
