@@ -28,23 +28,23 @@ from cvn.ops.normalization import (
 _glorot = nn.initializers.glorot_uniform()
 
 
-class Volume(NamedTuple):
-  """activation(gain x + offset), not computed yet."""
+class PendingNorm(NamedTuple):
+  """activation(scale x + shift), a normalisation that whoever reads x applies on the way."""
 
   x: jax.Array  # [..., X, Y, Z, C]
-  gain: jax.Array  # [C]
-  offset: jax.Array  # [C]
+  scale: jax.Array  # [C]
+  shift: jax.Array  # [C]
   activation: Activation
 
 
-def volume_of(x: jax.Array) -> Volume:
-  """An array as it is."""
+def as_pending(x: jax.Array) -> PendingNorm:
+  """An array of which nothing is pending."""
   c = x.shape[-1]
-  return Volume(x, jnp.ones(c, jnp.float32), jnp.zeros(c, jnp.float32), IDENTITY)
+  return PendingNorm(x, jnp.ones(c, jnp.float32), jnp.zeros(c, jnp.float32), IDENTITY)
 
 
-def finish(volume: Volume, *, implementation: str = 'auto') -> jax.Array:
-  """The array; `implementation` is one of dispatch.IMPLEMENTATIONS."""
+def materialize(volume: PendingNorm, *, implementation: str = 'auto') -> jax.Array:
+  """The activations; `implementation` is one of dispatch.IMPLEMENTATIONS."""
   return activate(*volume, implementation=implementation)
 
 
@@ -59,11 +59,11 @@ class Norm(nn.Module):
 
   @nn.compact
   def __call__(self, x: jax.Array, bias: jax.Array, train: bool) -> jax.Array:
-    scale, offset, mean, variance = _norm_variables(self, x.shape[-1:])
+    gamma, beta, mean, variance = _norm_variables(self, x.shape[-1:])
     if not train:
-      return affine(x, mean.value - bias, variance.value, scale, offset, self.activation)
+      return affine(x, mean.value - bias, variance.value, gamma, beta, self.activation)
     y, batch_mean, batch_variance = normalize(
-      x, scale, offset, self.activation, implementation=self.implementation
+      x, gamma, beta, self.activation, implementation=self.implementation
     )
     if not self.is_initializing():
       mean.value, variance.value = batch_mean + bias, batch_variance
@@ -76,19 +76,19 @@ class VolumeNorm(nn.Module):
   activation: Activation
 
   @nn.compact
-  def __call__(self, x: jax.Array, sums: jax.Array, bias: jax.Array, train: bool) -> Volume:
-    scale, offset, mean, variance = _norm_variables(self, x.shape[-1:])
+  def __call__(self, x: jax.Array, sums: jax.Array, bias: jax.Array, train: bool) -> PendingNorm:
+    gamma, beta, mean, variance = _norm_variables(self, x.shape[-1:])
     if not train:
       found = mean.value - bias, variance.value
     else:
       found = moments(sums, x)
       if not self.is_initializing():
         mean.value, variance.value = found[0] + bias, found[1]
-    return Volume(x, *coefficients(*found, scale, offset), self.activation)
+    return PendingNorm(x, *coefficients(*found, gamma, beta), self.activation)
 
 
 def _norm_variables(module: nn.Module, shape):
-  """Scale, offset and the running statistics, in `module`'s scope."""
+  """Gamma, beta and the running statistics, in `module`'s scope."""
   return (
     module.param('scale', nn.initializers.ones, shape, jnp.float32),
     module.param('bias', nn.initializers.zeros, shape, jnp.float32),
@@ -97,13 +97,13 @@ def _norm_variables(module: nn.Module, shape):
   )
 
 
-def _finish(module: nn.Module, x, activation, train):
+def _normalized(module: nn.Module, x, activation, train):
   """Bias, normalisation and activation, in `module`'s scope."""
   bias = _bias(module, x)
   return Norm(activation, module.implementation, name='norm')(x, bias, train)
 
 
-def _finish_volume(module: nn.Module, x, sums, activation, train) -> Volume:
+def _pend_norm(module: nn.Module, x, sums, activation, train) -> PendingNorm:
   """The same of a volume."""
   return VolumeNorm(activation, name='norm')(x, sums, _bias(module, x), train)
 
@@ -125,7 +125,7 @@ class Dense(nn.Module):
   @nn.compact
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = _kernel(self, x.shape[-1], self.features)
-    return _finish(self, x @ kernel, ELU, train)
+    return _normalized(self, x @ kernel, ELU, train)
 
 
 class Conv2D(nn.Module):
@@ -140,7 +140,7 @@ class Conv2D(nn.Module):
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = _kernel(self, self.size, self.size, x.shape[-1], self.features)
     y = conv2d.conv2d(x, kernel, mixed=self.mixed, implementation=self.implementation)
-    return _finish(self, y, ELU, train)
+    return _normalized(self, y, ELU, train)
 
 
 class Collect(nn.Module):
@@ -153,7 +153,7 @@ class Collect(nn.Module):
   def __call__(self, x: jax.Array, train: bool) -> jax.Array:
     kernel = _kernel(self, *x.shape[-3:], self.features)
     x = x.reshape(*x.shape[:-3], -1) @ kernel.reshape(-1, self.features)
-    return _finish(self, x, ELU, train)
+    return _normalized(self, x, ELU, train)
 
 
 class Deconv3D(nn.Module):
@@ -165,13 +165,13 @@ class Deconv3D(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, volume: Volume, train: bool) -> Volume:
+  def __call__(self, volume: PendingNorm, train: bool) -> PendingNorm:
     kernel = _kernel(self, 3, 3, 3, volume.x.shape[-1], self.features)
     *arrays, activation = volume
     y, sums = deconv.deconv(
       *arrays, kernel, activation, dtype=self.dtype, implementation=self.implementation
     )
-    return _finish_volume(self, y, sums, self.activation, train)
+    return _pend_norm(self, y, sums, self.activation, train)
 
 
 class Conv3D(nn.Module):
@@ -182,8 +182,8 @@ class Conv3D(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, volume: Volume, train: bool) -> Volume:
+  def __call__(self, volume: PendingNorm, train: bool) -> PendingNorm:
     kernel = _kernel(self, 3, 3, 3, volume.x.shape[-1], self.features)
     *arrays, activation = volume
     y, sums = deconv.conv(*arrays, kernel, activation, implementation=self.implementation)
-    return _finish_volume(self, y, sums, self.activation, train)
+    return _pend_norm(self, y, sums, self.activation, train)

@@ -15,7 +15,16 @@ from flax import linen as nn
 
 from cvn.camera import IMAGE_SIZE
 from cvn.grid import GRID_SIZE
-from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Volume, finish, volume_of
+from cvn.layers import (
+  Collect,
+  Conv2D,
+  Conv3D,
+  Deconv3D,
+  Dense,
+  PendingNorm,
+  as_pending,
+  materialize,
+)
 from cvn.ops import dispatch
 from cvn.ops.normalization import IDENTITY, SIGMOID, Activation
 
@@ -57,7 +66,7 @@ class Decoder(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, x: Volume, train: bool) -> Volume:
+  def __call__(self, x: PendingNorm, train: bool) -> PendingNorm:
     for i, channels in enumerate(DECODER):
       x = Deconv3D(channels, implementation=self.implementation, name=f'deconv{i}')(x, train)
     return x
@@ -72,7 +81,7 @@ class Trunk(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, image: jax.Array, train: bool) -> Volume:
+  def __call__(self, image: jax.Array, train: bool) -> PendingNorm:
     if image.shape[-3:] != (self.image_size, self.image_size, 3):
       raise ValueError(
         f'images must be [..., {self.image_size}, {self.image_size}, 3]: {image.shape}'
@@ -81,7 +90,7 @@ class Trunk(nn.Module):
     s = self.grid_size // 2 ** (len(DECODER) + 1)
     x = Encoder(s**3 * 128, self.mixed, self.implementation, name='encoder')(image, train)
     x = x.astype(jnp.bfloat16 if self.mixed else jnp.float32)
-    volume = volume_of(x.reshape(*x.shape[:-1], s, s, s, 128))
+    volume = as_pending(x.reshape(*x.shape[:-1], s, s, s, 128))
     return Decoder(self.implementation, name='decoder')(volume, train)
 
 
@@ -94,11 +103,11 @@ class Head(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, x: Volume, train: bool) -> jax.Array:
+  def __call__(self, x: PendingNorm, train: bool) -> jax.Array:
     chosen = self.implementation
     x = Deconv3D(self.hidden, implementation=chosen, name='deconv')(x, train)
     x = Conv3D(self.features, self.activation, chosen, name='conv')(x, train)
-    return finish(x, implementation=chosen)
+    return materialize(x, implementation=chosen)
 
 
 class FlowHead(nn.Module):
@@ -107,13 +116,13 @@ class FlowHead(nn.Module):
   implementation: str = 'auto'
 
   @nn.compact
-  def __call__(self, x: Volume, train: bool) -> jax.Array:
+  def __call__(self, x: PendingNorm, train: bool) -> jax.Array:
     chosen = self.implementation
     x = Deconv3D(2, SIGMOID, jnp.float32, chosen, name='deconv')(x, train)
-    return finish(x, implementation=chosen)
+    return materialize(x, implementation=chosen)
 
 
-def _color_heads(x: Volume, train: bool, implementation: str) -> ColorVolumes:
+def _color_heads(x: PendingNorm, train: bool, implementation: str) -> ColorVolumes:
   # The authors' network says how sure it is of the regressed colour: 1 - w.
   return ColorVolumes(
     Head(16, 3, SIGMOID, implementation, name='regressed')(x, train),

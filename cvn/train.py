@@ -186,7 +186,7 @@ def _surface_objective(params, batch_stats, batch, trunk, recipe):
 
   near = surface.near_cells(batch.index, trunk.grid_size)
   loss, (found, statistics) = surface.by_capacity(
-    heads_loss, near, heads, layers.finish(features), batch, near
+    heads_loss, near, heads, layers.materialize(features), batch, near
   )
   if recipe.kernel_penalty:
     loss = loss + recipe.kernel_penalty * _kernel_sum(params)

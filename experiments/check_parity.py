@@ -97,7 +97,7 @@ def check_ops(golden: dict[str, np.ndarray]) -> Iterator[Line]:
     'color_loss_l1', losses.color_objective(*color, surface, distance=RELEASE.surface_distance)[0]
   )
   kernel = golden['deconv3d_kernel_dhw_out_in'].swapaxes(-1, -2)
-  volume = layers.volume_of(golden['deconv3d_x'])
+  volume = layers.as_pending(golden['deconv3d_x'])
   yield line('deconv3d_y', deconv.deconv(*volume[:3], kernel, volume.activation)[0])
   # The layer, with a normalisation that changes nothing; its activation is applied to both sides.
   kernel = golden['conv2d_kernel']

@@ -24,12 +24,12 @@ SHAPES = [
 
 def plain_deconv(x, kernel, **options):
   """Of x as it is."""
-  *arrays, activation = layers.volume_of(x)
+  *arrays, activation = layers.as_pending(x)
   return deconv.deconv(*arrays, kernel, activation, **options)[0]
 
 
 def plain_conv(x, kernel, **options):
-  *arrays, activation = layers.volume_of(x)
+  *arrays, activation = layers.as_pending(x)
   return deconv.conv(*arrays, kernel, activation, **options)[0]
 
 
@@ -98,9 +98,9 @@ def test_what_comes_before_the_product_and_what_is_summed_behind_it(
   shapes = shape, (cin,), (cin,), (3, 3, 3, cin, cout)
   arguments = [draw(rng, *s) for s in shapes]
 
-  def composed(x, gain, offset, kernel):
-    gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
-    y = library(activation.value(x * gain + offset), kernel)
+  def composed(x, scale, shift, kernel):
+    scale, shift = (v.reshape(1, 1, 1, 1, -1) for v in (scale, shift))
+    y = library(activation.value(x * scale + shift), kernel)
     axes = (0, 1, 2, 3)
     return y, jnp.stack([y.sum(axes), (y * y).sum(axes)])
 

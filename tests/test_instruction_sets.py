@@ -110,9 +110,9 @@ def make_product(name, case, dtype):
   if mixed:  # as the kernels round
     arguments[0] = np.asarray(rounded(arguments[0]))
 
-  def composed(x, gain, offset, kernel):
-    gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
-    a = activation.value(x * gain + offset)
+  def composed(x, scale, shift, kernel):
+    scale, shift = (v.reshape(1, 1, 1, 1, -1) for v in (scale, shift))
+    a = activation.value(x * scale + shift)
     y = reference(_pass_rounded(a), _pass_rounded(kernel)) if mixed else reference(a, kernel)
     return y, jnp.stack([y.sum((0, 1, 2, 3)), (y * y).sum((0, 1, 2, 3))])
 
@@ -183,18 +183,18 @@ def test_conv2d(library, shape, size, out, mixed):
 @pytest.mark.parametrize(('channels', 'activation'), CHANNELS)
 def test_activated(library, channels, activation, dtype):
   shapes = (2, 3, 4, 5, channels), (channels,), (channels,), (2, 3, 4, 5, channels)
-  x, gain, offset, dy = draw(*shapes)
+  x, scale, shift, dy = draw(*shapes)
   x, dy = (jnp.asarray(v, DTYPES[dtype]) for v in (x, dy))
   tolerance = 1e-5 if dtype == 'float32' else 2**-7
 
-  def ours(x, gain, offset):
-    return (normalization.activate(x, gain, offset, activation),)
+  def ours(x, scale, shift):
+    return (normalization.activate(x, scale, shift, activation),)
 
-  def expected(x, gain, offset):
-    gain, offset = (v.reshape(1, 1, 1, 1, -1) for v in (gain, offset))
-    return (activation.value(x * gain + offset),)
+  def expected(x, scale, shift):
+    scale, shift = (v.reshape(1, 1, 1, 1, -1) for v in (scale, shift))
+    return (activation.value(x * scale + shift),)
 
   kernels = ['cvn_activated', 'cvn_activated_gradient']
-  got = compute(ours, library, (x, gain, offset), (dy,), kernels)
-  wide = (x.astype(jnp.float32), gain, offset), (dy.astype(jnp.float32),)
+  got = compute(ours, library, (x, scale, shift), (dy,), kernels)
+  wide = (x.astype(jnp.float32), scale, shift), (dy.astype(jnp.float32),)
   assert_close(got, value_and_gradients(expected, *wide), [tolerance] * 4)

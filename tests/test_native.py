@@ -233,8 +233,8 @@ def run_python(tmp_path, **environment):
   """Takes a gradient in a process of its own; what it prints."""
   code = (
     'import jax, jax.numpy as jnp; from cvn import layers; from cvn.ops import deconv, native;'
-    'x, gain, offset, activation = layers.volume_of(jnp.ones((1, 2, 2, 2, 3)));'
-    'f = jax.grad(lambda k: (deconv.deconv(x, gain, offset, k, activation)[0] ** 2).sum());'
+    'x, scale, shift, activation = layers.as_pending(jnp.ones((1, 2, 2, 2, 3)));'
+    'f = jax.grad(lambda k: (deconv.deconv(x, scale, shift, k, activation)[0] ** 2).sum());'
     'print(native.available(), float(f(jnp.ones((3, 3, 3, 3, 2))).sum()))'
   )
   environment = os.environ | {'XDG_CACHE_HOME': str(tmp_path)} | environment
@@ -266,12 +266,12 @@ def test_devices_take_their_own_samples():
   @jax.jit
   def step(images, weights):
     def loss(w):
-      def normal(y, sums, scale, offset):
+      def normal(y, sums, scale, shift):
         moments = normalization.moments(sums, y)
-        return y, *normalization.coefficients(*moments, scale, offset)
+        return y, *normalization.coefficients(*moments, scale, shift)
 
       x = conv2d.conv2d(conv2d.conv2d(images, w[4]), w[5])
-      x, *coefficients, identity = layers.volume_of(x.reshape(-1, 2, 2, 2, 16))
+      x, *coefficients, identity = layers.as_pending(x.reshape(-1, 2, 2, 2, 16))
       y = normal(*deconv.deconv(x, *coefficients, w[0], identity), w[2], w[3])
       y = normal(*deconv.conv(*y, w[1], normalization.ELU), w[2][:1], w[3][:1])
       return jnp.sum(normalization.activate(*y, normalization.SIGMOID) ** 2)
@@ -295,7 +295,8 @@ def test_the_cache_of_compiled_programs_knows_those_of_several_devices(tmp_path)
     'hits = []; jax.monitoring.register_event_listener(lambda name, **_: hits.append(name));'
     "mesh = jax.make_mesh((2,), ('batch',), (AxisType.Auto,));"
     'x = jax.device_put(jnp.ones((4, 1, 1, 1, 2)), NamedSharding(mesh, PartitionSpec("batch")));'
-    'hits.clear(); run = jax.jit(lambda x: layers.finish(layers.volume_of(x))).lower(x).compile();'
+    'hits.clear();'
+    'run = jax.jit(lambda x: layers.materialize(layers.as_pending(x))).lower(x).compile();'
     'assert "cvn_activated" in run.as_text() and "all-gather" not in run.as_text();'
     'print(hits.count("/jax/compilation_cache/cache_hits"))'
   )

@@ -12,20 +12,20 @@ from cvn.ops.normalization import ELU, EPSILON, IDENTITY, SIGMOID
 PLAIN = {ELU: jax.nn.elu, SIGMOID: jax.nn.sigmoid, IDENTITY: lambda x: x}
 
 
-def plain(x, scale, offset, activation):
+def plain(x, gamma, beta, activation):
   """As the text books write it."""
   axes = tuple(range(x.ndim - 1))
   mean, variance = x.mean(axes, keepdims=True), x.var(axes, keepdims=True)
   spread = (1,) * (x.ndim - 1) + (-1,)
   z = (x - mean) / jnp.sqrt(variance + EPSILON)
-  return PLAIN[activation](z * scale.reshape(spread) + offset.reshape(spread))
+  return PLAIN[activation](z * gamma.reshape(spread) + beta.reshape(spread))
 
 
 def draw(*shape):
   rng = np.random.default_rng(0)
   x = 3 * rng.standard_normal(shape, dtype=np.float32) + 1
-  scale, offset = rng.standard_normal((2, shape[-1]), dtype=np.float32)
-  return x, scale, offset
+  gamma, beta = rng.standard_normal((2, shape[-1]), dtype=np.float32)
+  return x, gamma, beta
 
 
 @pytest.fixture(params=['kernels', 'loops', 'xla'])
@@ -43,7 +43,7 @@ def implementation(request, monkeypatch):
 @pytest.mark.parametrize('channels', [1, 3, 16, 24, 5])
 @pytest.mark.parametrize('dtype', [jnp.float32, jnp.bfloat16])
 def test_activated_volumes(implementation, activation, channels, dtype):
-  x, gain, offset = draw(2, 3, 4, 5, channels)
+  x, scale, shift = draw(2, 3, 4, 5, channels)
   x = x.astype(dtype)
   cotangent = np.random.default_rng(1).standard_normal(x.shape, np.float32).astype(dtype)
 
@@ -54,37 +54,37 @@ def test_activated_volumes(implementation, activation, channels, dtype):
     )
     return out, *pull(cotangent)
 
-  def expected(x, gain, offset):
+  def expected(x, scale, shift):
     shape = (1,) * 4 + (-1,)
-    return PLAIN[activation](x * gain.reshape(shape) + offset.reshape(shape))
+    return PLAIN[activation](x * scale.reshape(shape) + shift.reshape(shape))
 
-  out, pull = jax.vjp(expected, x.astype(np.float32), gain, offset)
-  got = ours(x, gain, offset)
+  out, pull = jax.vjp(expected, x.astype(np.float32), scale, shift)
+  got = ours(x, scale, shift)
   assert [a.dtype for a in got] == [dtype, dtype, jnp.float32, jnp.float32]
   tolerance = 1e-5 if dtype == jnp.float32 else 2**-7
   for a, b in zip(got, [out, *pull(cotangent.astype(np.float32))], strict=True):
-    scale = float(jnp.abs(b).max())
-    np.testing.assert_allclose(a.astype(jnp.float32), b, rtol=tolerance, atol=tolerance * scale)
+    largest = float(jnp.abs(b).max())
+    np.testing.assert_allclose(a.astype(jnp.float32), b, rtol=tolerance, atol=tolerance * largest)
 
 
 def test_a_volume_is_normalised_from_its_sums():
-  x, scale, offset = draw(2, 3, 4, 5, 6)
+  x, gamma, beta = draw(2, 3, 4, 5, 6)
   sums = jnp.stack([x.sum((0, 1, 2, 3)), (x * x).sum((0, 1, 2, 3))])
-  gain, shift = normalization.coefficients(*normalization.moments(sums, x), scale, offset)
-  got = normalization.activate(x, gain, shift, ELU)
-  np.testing.assert_allclose(got, plain(x, scale, offset, ELU), rtol=1e-4, atol=1e-5)
+  scale, shift = normalization.coefficients(*normalization.moments(sums, x), gamma, beta)
+  got = normalization.activate(x, scale, shift, ELU)
+  np.testing.assert_allclose(got, plain(x, gamma, beta, ELU), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize('implementation', ['auto', 'xla'])
 @pytest.mark.parametrize('activation', PLAIN)
 @pytest.mark.parametrize('shape', [(7, 5), (2, 3, 4, 6), (2, 2, 2, 2, 2, 2, 2, 3)])
 def test_value_and_gradients(activation, shape, implementation):
-  x, scale, offset = draw(*shape)
+  x, gamma, beta = draw(*shape)
   ours = jax.jit(
     lambda *a: normalization.normalize(*a, activation, implementation=implementation)[0]
   )
-  out, pullback = jax.vjp(ours, x, scale, offset)
-  expected, expected_pullback = jax.vjp(lambda *a: plain(*a, activation), x, scale, offset)
+  out, pullback = jax.vjp(ours, x, gamma, beta)
+  expected, expected_pullback = jax.vjp(lambda *a: plain(*a, activation), x, gamma, beta)
   np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-5)
   cotangent = np.random.default_rng(1).standard_normal(shape, dtype=np.float32)
   for got, want in zip(pullback(cotangent), expected_pullback(cotangent), strict=True):
@@ -92,16 +92,16 @@ def test_value_and_gradients(activation, shape, implementation):
 
 
 def test_moments_are_those_of_numpy():
-  x, scale, offset = draw(50, 4)
-  _, mean, variance = normalization.normalize(x, scale, offset, ELU)
+  x, gamma, beta = draw(50, 4)
+  _, mean, variance = normalization.normalize(x, gamma, beta, ELU)
   np.testing.assert_allclose(mean, x.mean(0), rtol=1e-5)
   np.testing.assert_allclose(variance, x.var(0), rtol=1e-4)
 
 
 def test_running_statistics_give_the_same_affine_map():
-  x, scale, offset = draw(50, 4)
-  y, mean, variance = normalization.normalize(x, scale, offset, SIGMOID)
-  again = normalization.affine(x, mean, variance, scale, offset, SIGMOID)
+  x, gamma, beta = draw(50, 4)
+  y, mean, variance = normalization.normalize(x, gamma, beta, SIGMOID)
+  again = normalization.affine(x, mean, variance, gamma, beta, SIGMOID)
   np.testing.assert_allclose(again, y, rtol=1e-6)
 
 

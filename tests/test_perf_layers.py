@@ -23,9 +23,9 @@ class Small(nn.Module):
     x = layers.Conv2D(8, 3, self.mixed, name='conv')(image, train)
     x = layers.Collect(8, name='collect')(x, train)
     x = layers.Dense(16, name='dense')(x, train)
-    x = layers.volume_of(x.reshape(-1, 2, 2, 2, 2))
+    x = layers.as_pending(x.reshape(-1, 2, 2, 2, 2))
     x = layers.Deconv3D(3, name='deconv')(x, train)
-    return layers.finish(layers.Conv3D(1, name='conv3')(x, train))
+    return layers.materialize(layers.Conv3D(1, name='conv3')(x, train))
 
 
 def array(*shape, dtype=jnp.float32):
@@ -56,7 +56,7 @@ def test_operations_by_hand():
 @pytest.mark.parametrize('dtype, size', [(jnp.float32, 4), (jnp.bfloat16, 2)])
 def test_bytes_by_hand(dtype, size):
   x, y = array(2, 4, 4, 4, 5, dtype=dtype), array(2, 8, 8, 8, 3, dtype=dtype)
-  volume = layers.Volume(x, array(5), array(5), layers.ELU)
+  volume = layers.PendingNorm(x, array(5), array(5), layers.ELU)
   layer = Layer('', layers.Deconv3D(3), (volume,), y)
   read, kernel, written = size * 2 * 64 * 5, 4 * 27 * 5 * 3, size * 2 * 512 * 3
   assert perf_layers.count_bytes(layer, True) == (

@@ -160,7 +160,9 @@ def test_with_the_same_statistics_it_is_the_color_network(rng):
     near = surface.near_cells(index, 32)
     places = surface.find_places(near, index, near.size)
     heads = {name: p for name, p in params.items() if name != 'trunk'}
-    values, statistics = surface.color_heads(heads, layers.finish(features), places, mixed=False)
+    values, statistics = surface.color_heads(
+      heads, layers.materialize(features), places, mixed=False
+    )
     statistics = {'trunk': mutated['batch_stats'], **statistics}
     volumes = network.apply({'params': params, 'batch_stats': statistics}, image, train=False)
     return values, statistics, volumes, stats

@@ -183,9 +183,9 @@ import os, sys, jax, jax.numpy as jnp
 from cvn import layers
 from cvn.ops import deconv, native
 key = jax.random.key(0)
-x, gain, offset, activation = layers.volume_of(jax.random.normal(key, (2, 3, 4, 5, 6)))
+x, scale, shift, activation = layers.as_pending(jax.random.normal(key, (2, 3, 4, 5, 6)))
 kernel = jax.random.normal(key, (3, 3, 3, 6, 8))
-gradient = jax.grad(lambda k: (deconv.deconv(x, gain, offset, k, activation)[0] ** 2).sum())(kernel)
+gradient = jax.grad(lambda k: (deconv.deconv(x, scale, shift, k, activation)[0] ** 2).sum())(kernel)
 jnp.save(sys.argv[1], gradient)
 library = native.library()
 print(library and (library.origin, str(library.path)))

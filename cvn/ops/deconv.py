@@ -3,7 +3,7 @@
 Volumes are [..., X, Y, Z, C], kernels [3, 3, 3, in, out]. Along one axis, y[2 j + t] += a[j] w[t]
 for the deconvolution and y[v] += a[v + t - 1] w[t] for the convolution: SAME padding of the
 authors' framework. Volumes are large, and memory is what a processor waits for: so a volume is kept
-as the product before it left it, x, and both read it as a = activation(gain x + offset), which is
+as the product before it left it, x, and both read it as a = activation(scale x + shift), which is
 the batch normalisation in between. They also return the sums that the next one needs.
 
 `implementation` chooses the program (dispatch.py). In the plain one, the product is of matrices on
@@ -11,7 +11,7 @@ a CPU (matmul.py) and XLA's convolution elsewhere.
 
 Products have float32 factors and sums. If the volume is bfloat16, the factors are too, and results
 and gradients of volumes have the type of the volume. Volumes of other floating types are cast to
-float32, and so are gain, offset and kernel; every gradient has the type of what was given.
+float32, and so are scale, shift and kernel; every gradient has the type of what was given.
 """
 
 import functools
@@ -31,19 +31,19 @@ _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
 def deconv(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   *,
   dtype: Any = None,
   implementation: str = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
-  """Stride-2 transposed convolution of activation(gain x + offset).
+  """Stride-2 transposed convolution of activation(scale x + shift).
 
   Args:
     x: [..., X, Y, Z, in].
-    gain, offset: [in].
+    scale, shift: [in].
     kernel: [3, 3, 3, in, out].
     activation: before the product.
     dtype: of the result, float32 or bfloat16; None for that of `x`.
@@ -57,23 +57,23 @@ def deconv(
     TypeError: an array does not have floating-point numbers, or `dtype` is another type.
     RuntimeError: there are no compiled kernels, which `implementation` asks for.
   """
-  return _run('deconv', x, gain, offset, kernel, activation, dtype, implementation)
+  return _run('deconv', x, scale, shift, kernel, activation, dtype, implementation)
 
 
 def conv(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   *,
   implementation: str = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
-  """Convolution of activation(gain x + offset), with zeros around it.
+  """Convolution of activation(scale x + shift), with zeros around it.
 
   Args:
     x: [..., X, Y, Z, in].
-    gain, offset: [in].
+    scale, shift: [in].
     kernel: [3, 3, 3, in, out].
     activation: before the product.
     implementation: one of dispatch.IMPLEMENTATIONS.
@@ -86,7 +86,7 @@ def conv(
     TypeError: an array does not have floating-point numbers.
     RuntimeError: there are no compiled kernels, which `implementation` asks for.
   """
-  return _run('conv', x, gain, offset, kernel, activation, jnp.float32, implementation)
+  return _run('conv', x, scale, shift, kernel, activation, jnp.float32, implementation)
 
 
 def library_deconv(x: jax.Array, kernel: jax.Array) -> jax.Array:
@@ -113,14 +113,14 @@ _PRODUCTS = {
 }
 
 
-def _run(name, x, gain, offset, kernel, activation, dtype, implementation):
+def _run(name, x, scale, shift, kernel, activation, dtype, implementation):
   """(y, sums) of one of two programs, after the checks at the door."""
   dispatch.check(implementation)
-  shapes = np.shape(x), np.shape(gain), np.shape(offset), np.shape(kernel)
+  shapes = np.shape(x), np.shape(scale), np.shape(shift), np.shape(kernel)
   cin = shapes[0][-1:]
   if len(shapes[0]) < 4 or shapes[1:3] != (cin, cin) or shapes[3][:4] != (3, 3, 3, *cin):
     raise ValueError(
-      f'{name} takes x [..., X, Y, Z, in], gain and offset [in] and a kernel [3, 3, 3, in, out]:'
+      f'{name} takes x [..., X, Y, Z, in], scale and shift [in] and a kernel [3, 3, 3, in, out]:'
       f' {", ".join(map(str, shapes))}'
     )
   x = dispatch.as_float(f'{name}: x', x, dispatch.VOLUMES)
@@ -129,7 +129,7 @@ def _run(name, x, gain, offset, kernel, activation, dtype, implementation):
     raise TypeError(f'{name}: the result can be float32 or bfloat16: {dtype}')
   rest = [
     dispatch.as_float(f'{name}: {what}', v)
-    for what, v in (('gain', gain), ('offset', offset), ('kernel', kernel))
+    for what, v in (('scale', scale), ('shift', shift), ('kernel', kernel))
   ]
   arrays = dispatch.alike(x.reshape(-1, *x.shape[-4:]), *rest)
 
@@ -152,7 +152,7 @@ def _run(name, x, gain, offset, kernel, activation, dtype, implementation):
   return y.reshape(*x.shape[:-4], *y.shape[1:]), sums
 
 
-def _kernel(name, activation, dtype, x, gain, offset, kernel):
+def _kernel(name, activation, dtype, x, scale, shift, kernel):
   """(y, sums) of the compiled kernel."""
   b, *size, _ = x.shape
   factor, cout = 2 if name == 'deconv' else 1, kernel.shape[-1]
@@ -161,14 +161,14 @@ def _kernel(name, activation, dtype, x, gain, offset, kernel):
     jax.ShapeDtypeStruct((b, 2, cout), jnp.float32),
   ]
   y, sums = dispatch.call(
-    f'cvn_{name}', results, x, gain, offset, kernel, activation=activation.number
+    f'cvn_{name}', results, x, scale, shift, kernel, activation=activation.number
   )
   return y, sums.sum(0)
 
 
 def _kernel_gradient(name, activation, arrays, results, cotangents):
-  """Those of x, gain, offset and kernel, of the compiled kernel."""
-  (x, gain, offset, kernel), (y, _), (dy, dsums) = arrays, results, cotangents
+  """Those of x, scale, shift and kernel, of the compiled kernel."""
+  (x, scale, shift, kernel), (y, _), (dy, dsums) = arrays, results, cotangents
   taps, (cin, cout) = kernel.shape[:3], kernel.shape[3:]
   order = {'deconv': (*taps, cin, cout), 'conv': (cout, *taps, cin)}[name]
   found = [
@@ -177,22 +177,22 @@ def _kernel_gradient(name, activation, arrays, results, cotangents):
     jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
   ]
   dx, dcoefficients, dkernel = dispatch.call(
-    f'cvn_{name}_gradient', found, x, gain, offset, kernel, y, dy, dsums,
+    f'cvn_{name}_gradient', found, x, scale, shift, kernel, y, dy, dsums,
     volumes=(0, 4, 5), activation=activation.number,
   )  # fmt: skip
-  doffset, dgain = dcoefficients.sum(0)
+  dshift, dscale = dcoefficients.sum(0)
   dkernel = dispatch.sum_samples(dkernel)
-  return dx, dgain, doffset, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
+  return dx, dscale, dshift, dkernel if name == 'deconv' else jnp.moveaxis(dkernel, 0, -1)
 
 
 def _plain(name, activation, dtype, *arrays):
   """(y, sums) of plain operations."""
 
-  def of_matrices(x, gain, offset, kernel):
-    return _PRODUCTS[name][0](x, gain, offset, _rounded(kernel, x), activation, dtype)
+  def of_matrices(x, scale, shift, kernel):
+    return _PRODUCTS[name][0](x, scale, shift, _rounded(kernel, x), activation, dtype)
 
-  def of_library(x, gain, offset, kernel):
-    a = activated(x, gain, offset, activation)
+  def of_library(x, scale, shift, kernel):
+    a = activated(x, scale, shift, activation)
     y = _LIBRARY[name](a, kernel.astype(x.dtype)).astype(dtype)
     wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
     return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
@@ -201,21 +201,21 @@ def _plain(name, activation, dtype, *arrays):
 
 
 def _plain_gradient(name, activation, arrays, results, cotangents):
-  """Those of x, gain, offset and kernel. Makes the activations again, so that none are kept."""
+  """Those of x, scale, shift and kernel. Makes the activations again, so that none are kept."""
 
-  def of_matrices(x, gain, offset, kernel, y, dy, dsums):
+  def of_matrices(x, scale, shift, kernel, y, dy, dsums):
     kernel = _rounded(kernel, x)
-    return _PRODUCTS[name][1](x, gain, offset, kernel, activation, y, dy, dsums)
+    return _PRODUCTS[name][1](x, scale, shift, kernel, activation, y, dy, dsums)
 
-  def of_library(x, gain, offset, kernel, y, dy, dsums):
+  def of_library(x, scale, shift, kernel, y, dy, dsums):
     first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
     dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
 
-    def value(x, gain, offset, kernel):
-      return _LIBRARY[name](activated(x, gain, offset, activation), kernel).astype(y.dtype)
+    def value(x, scale, shift, kernel):
+      return _LIBRARY[name](activated(x, scale, shift, activation), kernel).astype(y.dtype)
 
     # The cotangent is a factor of products too.
-    _, pull = jax.vjp(value, x, gain, offset, kernel.astype(x.dtype))
+    _, pull = jax.vjp(value, x, scale, shift, kernel.astype(x.dtype))
     *gradients, dkernel = pull(dy.astype(x.dtype).astype(y.dtype))
     return *gradients, dkernel.astype(jnp.float32)
 

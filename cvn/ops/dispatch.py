@@ -136,7 +136,10 @@ def call(
 ) -> tuple[jax.Array, ...]:
   """Calls a kernel, which is there on a CPU if `native.available`.
 
-  Where a batch is spread over the devices of a mesh, each device calls it for its own samples.
+  Where a batch is spread over the devices of a mesh, each device calls it for its own samples. The
+  mesh is that of `jax.set_mesh` or of the arrays that are placed on it; a function that `jax.jit`
+  places by `in_shardings` alone needs the former.
+
   Under `jax.vmap`, a mapped axis of volumes becomes part of their batch; if other arrays are
   mapped, the kernel is called for one element of the axis after another.
 
@@ -223,10 +226,10 @@ def _over_devices(run, count, *arrays, volumes):
 
 
 def _batch_axes(size, arrays):
-  """The mesh that the arrays' types name, and those of its axes that share out the batch.
+  """The mesh, and those of its axes along which the batch is spread.
 
-  Types of arrays do not say along which axis of the mesh a batch is spread: it is spread along
-  all, as long as they divide it.
+  Types of arrays name their mesh, but not the axis that their batch is spread along: it is spread
+  along all of them, as long as they divide it.
   """
   meshes = [jax.sharding.get_abstract_mesh(), *(jax.typeof(x).sharding.mesh for x in arrays)]
   mesh = next((m for m in meshes if not m.empty), None)

@@ -33,8 +33,8 @@ _DECONV_TAPS[[0, 0, 1], [0, 1, 0], [0, 1, 2]] = 1
 
 def deconv(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   dtype: Any,
@@ -49,13 +49,13 @@ def deconv(
   slabs, cout = _slabs(x.shape, _DECONV_ROWS), kernel.shape[-1]
   matrix = deconv_matrix(kernel).reshape(2, 4 * cin, 2, 4 * cout)
   even, odd = matrix[:, :, 0].reshape(8 * cin, -1), matrix[0, :, 1]
-  last = activated(x[:, slabs[2] - 1 : -1 : slabs[2]], gain, offset, activation)
+  last = activated(x[:, slabs[2] - 1 : -1 : slabs[2]], scale, shift, activation)
   before = _pad(last, 1, (1, 0))  # the plane before each slab
 
   def slab(_, arrays):
     x, before = arrays
     n, s, sy, sz, _ = x.shape
-    a = jnp.concatenate([before, activated(x, gain, offset, activation)], 1)
+    a = jnp.concatenate([before, activated(x, scale, shift, activation)], 1)
     a = _pad(_pad(a.astype(jnp.float32), 2, (1, 0)), 3, (1, 0))
     copies = [
       a[:, 1 - i : 1 - i + s, 1 - j : 1 - j + sy, 1 - k : 1 - k + sz]
@@ -78,15 +78,15 @@ def deconv(
 
 def deconv_gradient(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   y: jax.Array,
   dy: jax.Array,
   dsums: jax.Array,
 ) -> tuple[jax.Array, ...]:
-  """Gradients of x, gain, offset and kernel from the cotangents of y and sums.
+  """Gradients of x, scale, shift and kernel from the cotangents of y and sums.
 
   Output 2j + t reads a[j] by tap t, so that row j of the copies holds the 27 outputs behind 2j.
   """
@@ -105,14 +105,14 @@ def deconv_gradient(
 
   weights = kernel.swapaxes(3, 4).reshape(27 * cout, cin)
   arrays = _split(y, slabs), _split(dy, slabs), _split(behind, slabs)
-  *gradients, dweights = _gradients((x, gain, offset), activation, weights, slabs, gather, arrays)
+  *gradients, dweights = _gradients((x, scale, shift), activation, weights, slabs, gather, arrays)
   return *gradients, dweights.reshape(3, 3, 3, cout, cin).swapaxes(3, 4)
 
 
 def conv(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   dtype: Any,
@@ -137,7 +137,7 @@ def conv(
 
   def slab(_, arrays):
     (x,) = arrays
-    a = activated(x, gain, offset, activation).astype(jnp.float32)
+    a = activated(x, scale, shift, activation).astype(jnp.float32)
     given = (a.reshape(-1, block * cin) @ matrix).reshape(*x.shape[:3], sz // block, 3, 3, -1)
     return None, add([given[..., j, :] for j in range(3)], 2)
 
@@ -153,15 +153,15 @@ def conv(
 
 def conv_gradient(
   x: jax.Array,
-  gain: jax.Array,
-  offset: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
   kernel: jax.Array,
   activation: Activation,
   y: jax.Array,
   dy: jax.Array,
   dsums: jax.Array,
 ) -> tuple[jax.Array, ...]:
-  """Gradients of x, gain, offset and kernel from the cotangents of y and sums.
+  """Gradients of x, scale, shift and kernel from the cotangents of y and sums.
 
   The copies hold the cotangents of the 3 x 3 rows that a block gives to.
   """
@@ -180,7 +180,7 @@ def conv_gradient(
     return [g[:, 2 - i : 2 - i + n, 2 - j : 2 - j + sy] for i in range(3) for j in range(3)]
 
   matrix, pull = jax.vjp(lambda k: _window_matrix(k, block).T, kernel)
-  *gradients, dmatrix = _gradients((x, gain, offset), activation, matrix, slabs, gather, (windows,))
+  *gradients, dmatrix = _gradients((x, scale, shift), activation, matrix, slabs, gather, (windows,))
   return *gradients, *pull(dmatrix)
 
 
@@ -213,22 +213,22 @@ def _conv_taps(block: int) -> np.ndarray:
 
 
 def _gradients(inputs, activation, weights, slabs, gather: Callable, arrays):
-  """Gradients of x, gain, offset and weights.
+  """Gradients of x, scale, shift and weights.
 
   `gather` makes a list of copies [n, S, ...] of a slab of the arrays [N, n, ...]; all copies of a
   voxel or block, times the weights, are the gradient of its activations.
   """
-  x, gain, offset = inputs
+  x, scale, shift = inputs
 
   def slab(sums, arrays):
     x, *rest = arrays
-    a, pull = jax.vjp(lambda *v: activated(*v, activation), x, gain, offset)
+    a, pull = jax.vjp(lambda *v: activated(*v, activation), x, scale, shift)
     copies = jnp.concatenate(gather(*rest), -1).reshape(-1, len(weights))
     dx, *coefficients = pull((copies @ weights).reshape(a.shape).astype(a.dtype))
     dweights = copies.T @ a.astype(jnp.float32).reshape(len(copies), -1)
     return jax.tree.map(jnp.add, sums, (*coefficients, dweights)), dx
 
-  zeros = jnp.zeros_like(gain), jnp.zeros_like(offset), jnp.zeros_like(weights)
+  zeros = jnp.zeros_like(scale), jnp.zeros_like(shift), jnp.zeros_like(weights)
   sums, dx = lax.scan(slab, zeros, (_split(x, slabs), *arrays))
   return dx.reshape(x.shape), *sums
 

@@ -43,29 +43,29 @@ SIGMOID = Activation(jax.nn.sigmoid, lambda y: y * (1 - y), np.int64(2))
 IDENTITY = Activation(lambda x: x, jnp.ones_like, np.int64(0))
 
 
-def coefficients(mean, variance, scale, offset):
-  """(gain, offset): what normalisation by these statistics multiplies with and adds, [C] all."""
-  gain = scale * jax.lax.rsqrt(variance + EPSILON)
-  return gain, offset - mean * gain
+def coefficients(mean, variance, gamma, beta):
+  """(scale, shift): what normalisation by these statistics multiplies with and adds, [C] all."""
+  scale = gamma * jax.lax.rsqrt(variance + EPSILON)
+  return scale, beta - mean * scale
 
 
-def activated(x, gain, offset, activation: Activation):
-  """activation(gain x + offset), made in float32, of the type of x; channels last."""
-  z = x.astype(jnp.float32) * _spread(gain, x) + _spread(offset, x)
+def activated(x, scale, shift, activation: Activation):
+  """activation(scale x + shift), made in float32, of the type of x; channels last."""
+  z = x.astype(jnp.float32) * _spread(scale, x) + _spread(shift, x)
   return activation.value(z).astype(x.dtype)
 
 
-def affine(x, mean, variance, scale, offset, activation: Activation):
-  """activation((x - mean) / sqrt(variance + EPSILON) * scale + offset), channels last."""
-  return activated(x, *coefficients(mean, variance, scale, offset), activation)
+def affine(x, mean, variance, gamma, beta, activation: Activation):
+  """activation((x - mean) / sqrt(variance + EPSILON) * gamma + beta), channels last."""
+  return activated(x, *coefficients(mean, variance, gamma, beta), activation)
 
 
-def normalize(x, scale, offset, activation: Activation, *, implementation: str = 'auto'):
+def normalize(x, gamma, beta, activation: Activation, *, implementation: str = 'auto'):
   """Normalises by the batch's own statistics.
 
   Args:
-    x: [..., C]; other floating types than float32 are cast, also those of scale and offset.
-    scale, offset: [C], BatchNorm's gamma and beta.
+    x: [..., C]; other floating types than float32 are cast, also those of gamma and beta.
+    gamma, beta: [C], the parameters of the batch normalisation.
     activation: applied after it.
     implementation: one of dispatch.IMPLEMENTATIONS; all but 'xla' have the gradient above.
 
@@ -80,8 +80,8 @@ def normalize(x, scale, offset, activation: Activation, *, implementation: str =
   dispatch.check(implementation)
   arrays = dispatch.alike(
     dispatch.as_float('normalize: x', x),
-    dispatch.as_float('normalize: scale', scale),
-    dispatch.as_float('normalize: offset', offset),
+    dispatch.as_float('normalize: gamma', gamma),
+    dispatch.as_float('normalize: beta', beta),
   )
   plain = functools.partial(_normalize, activation)
   if implementation == 'xla':
@@ -100,12 +100,12 @@ def moments(sums, x):
   return mean, jnp.maximum(square - mean * mean, 0)
 
 
-def activate(x, gain, offset, activation: Activation, *, implementation: str = 'auto') -> jax.Array:
-  """activation(gain x + offset) of a volume.
+def activate(x, scale, shift, activation: Activation, *, implementation: str = 'auto') -> jax.Array:
+  """activation(scale x + shift) of a volume.
 
   Args:
     x: [..., X, Y, Z, C] float32 or bfloat16; other floating types are cast to float32.
-    gain, offset: [C], cast to float32.
+    scale, shift: [C], cast to float32.
     activation: the function.
     implementation: one of dispatch.IMPLEMENTATIONS.
 
@@ -116,15 +116,15 @@ def activate(x, gain, offset, activation: Activation, *, implementation: str = '
   """
   dispatch.check(implementation)
   shape = np.shape(x)
-  if len(shape) < 4 or not np.shape(gain) == np.shape(offset) == shape[-1:]:
+  if len(shape) < 4 or not np.shape(scale) == np.shape(shift) == shape[-1:]:
     raise ValueError(
-      f'activate takes x [..., X, Y, Z, C] and gain and offset [C]: {shape}, {np.shape(gain)},'
-      f' {np.shape(offset)}'
+      f'activate takes x [..., X, Y, Z, C] and scale and shift [C]: {shape}, {np.shape(scale)},'
+      f' {np.shape(shift)}'
     )
   arrays = dispatch.alike(
     dispatch.as_float('activate: x', x, dispatch.VOLUMES).reshape(-1, *shape[-4:]),
-    dispatch.as_float('activate: gain', gain),
-    dispatch.as_float('activate: offset', offset),
+    dispatch.as_float('activate: scale', scale),
+    dispatch.as_float('activate: shift', shift),
   )
   plain = functools.partial(_plain, activation)
   if implementation == 'xla':
@@ -148,35 +148,35 @@ def activate(x, gain, offset, activation: Activation, *, implementation: str = '
   return y.reshape(shape)
 
 
-def _normalize(activation, x, scale, offset):
+def _normalize(activation, x, gamma, beta):
   axes = tuple(range(x.ndim - 1))
   mean, variance = moments(jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)]), x)
-  y = affine(x, mean, variance, scale, offset, activation)
+  y = affine(x, mean, variance, gamma, beta, activation)
   return y, jax.lax.stop_gradient(mean), jax.lax.stop_gradient(variance)
 
 
 def _normalize_gradient(activation, arrays, results, cotangents):
-  (x, scale, _), (y, mean, variance) = arrays, results
+  (x, gamma, _), (y, mean, variance) = arrays, results
   axes, count = tuple(range(x.ndim - 1)), x.size // x.shape[-1]
   rstd = jax.lax.rsqrt(variance + EPSILON)
   # dz is the gradient before the activation; its sums are enough to find that of the input.
   dz = cotangents[0] * activation.slope(y)
-  d_offset, dz_x = jnp.sum(dz, axes), jnp.sum(dz * x, axes)
-  d_scale = (dz_x - mean * d_offset) * rstd  # sum of dz times x normalised
-  # dx = gain * (dz - mean(dz) - x_hat * mean(dz * x_hat)), with x_hat = (x - mean) * rstd.
-  gain = scale * rstd
-  slope = -gain * rstd * d_scale / count
-  rest = -gain * d_offset / count - slope * mean
-  return dz * _spread(gain, x) + x * _spread(slope, x) + _spread(rest, x), d_scale, d_offset
+  d_beta, dz_x = jnp.sum(dz, axes), jnp.sum(dz * x, axes)
+  d_gamma = (dz_x - mean * d_beta) * rstd  # sum of dz times x normalised
+  # dx = scale * (dz - mean(dz) - x_hat * mean(dz * x_hat)), with x_hat = (x - mean) * rstd.
+  scale = gamma * rstd
+  slope = -scale * rstd * d_gamma / count
+  rest = -scale * d_beta / count - slope * mean
+  return dz * _spread(scale, x) + x * _spread(slope, x) + _spread(rest, x), d_gamma, d_beta
 
 
-def _kernel(activation, x, gain, offset):
+def _kernel(activation, x, scale, shift):
   result = jax.ShapeDtypeStruct(x.shape, x.dtype)
-  return dispatch.call('cvn_activated', [result], x, gain, offset, activation=activation.number)
+  return dispatch.call('cvn_activated', [result], x, scale, shift, activation=activation.number)
 
 
 def _kernel_gradient(activation, arrays, _, cotangents):
-  """Those of x, gain and offset."""
+  """Those of x, scale and shift."""
   x = arrays[0]
   found = [
     jax.ShapeDtypeStruct(x.shape, x.dtype),
@@ -186,12 +186,12 @@ def _kernel_gradient(activation, arrays, _, cotangents):
     'cvn_activated_gradient', found, *arrays, *cotangents,
     volumes=(0, 3), in_place=3, activation=activation.number,
   )  # fmt: skip
-  doffset, dgain = sums.sum(0)
-  return dx, dgain, doffset
+  dshift, dscale = sums.sum(0)
+  return dx, dscale, dshift
 
 
-def _plain(activation, x, gain, offset):
-  return (activated(x, gain, offset, activation),)
+def _plain(activation, x, scale, shift):
+  return (activated(x, scale, shift, activation),)
 
 
 def _plain_gradient(activation, arrays, _, cotangents):

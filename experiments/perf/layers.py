@@ -17,7 +17,7 @@ import numpy as np
 
 from cvn import train
 from cvn.camera import IMAGE_SIZE
-from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Norm, Volume, VolumeNorm
+from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Norm, PendingNorm, VolumeNorm
 
 REPEATS = 5
 HEADER = (
@@ -40,7 +40,7 @@ class Layer(NamedTuple):
 
   name: str
   module: nn.Module  # unbound
-  inputs: tuple[jax.ShapeDtypeStruct | Volume, ...]  # of its call
+  inputs: tuple[jax.ShapeDtypeStruct | PendingNorm, ...]  # of its call
   output: jax.ShapeDtypeStruct
 
 
@@ -139,7 +139,7 @@ def count_bytes(layer: Layer, needs_input_gradient: bool) -> tuple[int, int]:
     return 2 * x + y, 2 * (x + y) + x
   kernel = _nbytes(_parameters(layer)['kernel'])
   read = x + y + kernel
-  if isinstance(layer.inputs[0], Volume):
+  if isinstance(layer.inputs[0], PendingNorm):
     read += y  # its statistics' part of the gradient depends on it
   return x + kernel + y, read + (x + kernel if needs_input_gradient else 0)
 
@@ -220,7 +220,7 @@ def _parameters(layer):
 
 def _array(x):
   """Of a volume what is kept of it."""
-  return x.x if isinstance(x, Volume) else x
+  return x.x if isinstance(x, PendingNorm) else x
 
 
 def _numbers(shape):
