@@ -59,12 +59,12 @@ def library(request):
 
 def test_libraries_are_what_they_were_built_for(library, request):
   names = {
-    'x86-64': 'SSE2',
-    'x86-64-v3': 'AVX2',
-    'x86-64-v4': 'AVX-512',
-    'x86-64-v4-bf16': 'AVX-512 with BF16',
-    'sapphirerapids': 'AVX-512 with BF16 and AMX',
-    'aarch64': 'NEON',
+    'x86-64': 'SSE2, 4 lanes',
+    'x86-64-v3': 'AVX2, 8 lanes',
+    'x86-64-v4': 'AVX-512, 16 lanes',
+    'x86-64-v4-bf16': 'AVX-512 with BF16, 8 lanes',
+    'sapphirerapids': 'AVX-512 with BF16 and AMX, 16 lanes',
+    'aarch64': 'NEON, 4 lanes',
   }
   assert library.instruction_set == names[request.node.callspec.params['library']]
   assert library.suffix.startswith('@') and native.target('cvn_conv').endswith(library.suffix)
