@@ -35,7 +35,8 @@ INTERFACE = (0, 3)
 SOURCE = pathlib.Path('cvn', 'ops', 'kernels', 'kernels.cc')
 SHIPPED = 'cvn/ops/shipped'
 # The C++ library is linked statically: other machines may have older ones than the compiler's.
-OPTIONS = ('-O3', '-static-libstdc++', '-Wl,--exclude-libs,ALL', '-s')
+# Only what is used of it is kept; the rest would need a later glibc.
+OPTIONS = ('-O3', '-static-libstdc++', '-Wl,--exclude-libs,ALL', '-Wl,--gc-sections', '-s')
 
 
 def get_requires_for_build_wheel(config_settings=None) -> list[str]:

@@ -9,7 +9,7 @@
   surface_color  [N,C,3]      u8   sRGB albedo
   visible        [N,V,C]      u8   1 where the view sees the voxel
   flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel
-  facts          [N,3]        f32  what `Facts` tells of the mesh
+  facts          [N,4]        f32  what `Facts` tells of the mesh; older data sets lack its last
   surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
 
 The manifest's cameras are those that datagen renders with. Models of source im2avatar_release have
@@ -24,7 +24,7 @@ processes may write their own models at the same time, and a model is there only
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +57,9 @@ class Model(NamedTuple):
   path: str = ''  # the file it was made from, below the source's folder
   licence: str = ''
   creator: str = ''
+  content: str = ''  # a checksum of its files: where they change, the record is made anew
+  up: str = 'y'  # what pointed up in its file
+  turn: float = 0.0  # degrees by which it was turned then, anticlockwise seen from above
 
 
 class Manifest(NamedTuple):
@@ -76,6 +79,7 @@ class Facts(NamedTuple):
   faces: float = 0  # triangles with an area
   missing: float = 0  # files of textures and materials that are named but not there
   volume: float = 0  # signed, of its bounding box's: below 0 where faces look inwards
+  notes: float = 0  # bits of what its reader ignored or guessed (datagen/notes.py)
 
 
 class Record(NamedTuple):
@@ -145,6 +149,27 @@ def extend(dataset: Dataset, models: Sequence[Model]) -> Dataset:
     raise UserError(f'cannot extend {dataset.root}: {_first_line(e)}') from e
   _write_manifest(dataset.root, manifest)
   return Dataset(dataset.root, manifest, arrays)
+
+
+def replan(dataset: Dataset, models: Mapping[int, Model]) -> Dataset:
+  """Plans models anew that are to be made otherwise: their records are there no more.
+
+  Args:
+    dataset: the data set.
+    models: row -> what stands there from now on.
+
+  Raises:
+    UserError: the place cannot be written.
+  """
+  try:
+    for row in models:  # first, so that no record is taken for what it is not
+      dataset.arrays['surface_count'][row].write(0).result()
+  except ValueError as e:
+    raise UserError(f'cannot write {dataset.root}: {_first_line(e)}') from e
+  rows = tuple(models.get(row, m) for row, m in enumerate(dataset.manifest.models))
+  manifest = dataset.manifest._replace(models=rows)
+  _write_manifest(dataset.root, manifest)
+  return dataset._replace(manifest=manifest)
 
 
 def _write_manifest(url: str, manifest: Manifest) -> None:

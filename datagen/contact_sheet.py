@@ -6,6 +6,7 @@ voxels, from the front and from behind, and last come the colours that this flow
 view: where flows point right, they look like the voxels' own.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,6 +41,25 @@ def contact_sheet(dataset: Dataset, rows: Sequence[int]) -> np.ndarray:
     row_titles=[*(_wrapped(dataset.manifest.models[row].id) for row in rows), 'flow colours'],
     background=GROUND,
   )
+
+
+def rows_to_show(dataset: Dataset, done: np.ndarray, new: Sequence[int], count: int) -> list[int]:
+  """Some models of each category, new ones first; as many of each as there is room for.
+
+  Args:
+    dataset: the data set.
+    done: [N] bool, models that are made.
+    new: rows of those that were made just now.
+    count: how many at most.
+  """
+  models, is_new = dataset.manifest.models, set(new)
+  waiting: dict[str, list[int]] = {}
+  for row in sorted(np.flatnonzero(done).tolist(), key=lambda row: row not in is_new):
+    waiting.setdefault(models[row].category, []).append(row)
+  chosen = []
+  for turn in itertools.zip_longest(*waiting.values()):
+    chosen += [row for row in turn if row is not None]
+  return sorted(chosen[:count], key=lambda row: (list(waiting).index(models[row].category), row))
 
 
 def flow_legend(size: int = IMAGE_SIZE) -> np.ndarray:

@@ -15,6 +15,16 @@ FEW_VOXELS = 300  # a flat square of 17 voxels' side
 ONE_COLOR = 0.02  # mean distance to the mean colour; texture and shadow are beyond it
 INSIDE_OUT = -0.02  # signed volume, of the bounding box's
 SLENDER = 2.0  # how many times taller or flatter than its category's median is far from upright
+# What is usual in a category: height over the longer of width and depth, and width over depth.
+USUAL = {
+  'car': ((0.15, 0.8), (0.2, 0.9)),
+  'chair': ((0.7, 2.8), (0.4, 2.0)),
+  'guitar': ((1.5, 6.0), (1.2, 20.0)),
+  'human': ((0.8, 6.0), (0.3, 10.0)),
+  'person': ((0.8, 6.0), (0.3, 10.0)),
+  'sofa': ((0.15, 1.1), (0.9, 5.0)),
+  'table': ((0.1, 1.6), (0.3, 4.0)),
+}
 PEERS = 5  # models of a category that make a median
 
 
@@ -30,6 +40,8 @@ class Examined(NamedTuple):
   uprightness: float  # height over the longer of width and depth
   missing: int  # files of textures and materials that were not there
   volume: float  # signed, of its bounding box's
+  notes: int = 0  # bits of datagen.notes
+  breadth: float = 1.0  # width over depth
 
 
 def examine(record: Record) -> Examined:
@@ -48,6 +60,8 @@ def examine(record: Record) -> Examined:
     uprightness=float(extent[1] / max(extent[0], extent[2])),
     missing=int(record.facts.missing),
     volume=float(record.facts.volume),
+    notes=int(record.facts.notes),
+    breadth=float(extent[0] / extent[2]),
   )
 
 
@@ -95,12 +109,32 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
     if e.volume < INSIDE_OUT:
       reasons.append(f'inside out (signed volume {e.volume:.2f} of its box)')
     times = np.exp(np.log(e.uprightness) - tall.get(category, np.log(e.uprightness)))
-    if max(times, 1 / times) > SLENDER:
+    unusual = _unusual(e, category)
+    if not unusual and max(times, 1 / times) > SLENDER:
       reasons.append(f'far from upright ({times:.1f} times as tall as the median {category})')
+    reasons += unusual
     if e.missing:
-      reasons.append(f'{e.missing} files of textures or materials missing')
+      reasons.append(f'{e.missing} files or materials missing')
     result.append(reasons)
   return result
+
+
+def _unusual(e, category):
+  """How a model stands otherwise than its category does, whatever the others of the set do."""
+  if category.lower() not in USUAL:
+    return []
+  (low, high), (narrow, broad) = USUAL[category.lower()]
+  if not low <= e.uprightness <= high:
+    return [
+      f'it seems to lie: {e.uprightness:.1f} times as high as wide or deep, where a {category} is'
+      f' {low:g} to {high:g} times (--up)'
+    ]
+  if not narrow <= e.breadth <= broad:
+    return [
+      f'it seems to be turned: {e.breadth:.1f} times as wide as deep, where a {category} is'
+      f' {narrow:g} to {broad:g} times (--turn)'
+    ]
+  return []
 
 
 def _errors(record):

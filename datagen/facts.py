@@ -4,12 +4,13 @@ import numpy as np
 
 from cvn.dataset import Facts
 from datagen.mesh import TexturedMesh
+from datagen.notes import to_bits
 
 _CHUNK = 1 << 18  # faces handled at a time
 
 
 def facts_of(mesh: TexturedMesh) -> Facts:
-  """Counts the faces and missing files of a mesh, and measures its signed volume.
+  """Counts the faces and missing files of a mesh, keeps its notes, and measures its signed volume.
 
   The volume is the divergence theorem's sum of (a - m) · (b - m) × (c - m) / 6 over the faces, m
   the middle of the bounding box, as a share of the box's volume. A closed surface whose faces look
@@ -25,4 +26,4 @@ def facts_of(mesh: TexturedMesh) -> Facts:
       mesh.vertices[mesh.faces[start : start + _CHUNK]] - (low + high) / 2, 1, 0
     )
     total += float(np.einsum('nk,nk->', a, np.cross(b, c))) / 6
-  return Facts(faces=len(mesh.faces), missing=len(mesh.missing), volume=total / box)
+  return Facts(len(mesh.faces), len(mesh.missing), total / box, to_bits(mesh.notes))

@@ -5,9 +5,10 @@ python -m datagen.generate --source=meshes --category=chair --input=DIR --output
 python -m datagen.generate --source=sweethome3d --category='chair,sofa=sofa|couch' --input=DIR \
   --output=DIR
 
-The same command again makes only what is missing; --append adds other models to a data set that is
-there. Models that fail are listed, with the reason, in failures.json, and left out.
-contact_sheet.png shows the first models; python -m datagen.inspect tells of all of them.
+The same command again makes what is missing and what has changed: meshes that were written anew,
+or are to stand otherwise (--up, --turn). --append adds other models to a data set that is there.
+Models that fail are listed, with the reason, in failures.json, and left out. contact_sheet.png
+shows some of each category; python -m datagen.inspect tells of all of them.
 
 --scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
 its machines, a shared file system or, for --output, a bucket (gs://, s3://).
@@ -28,13 +29,15 @@ from tqdm import tqdm
 
 from cvn import dataset as dataset_lib
 from cvn import errors
-from cvn.dataset import Dataset
+from cvn.dataset import Dataset, Facts
 from cvn.errors import UserError
 from datagen import sources
-from datagen.contact_sheet import contact_sheet
+from datagen.contact_sheet import contact_sheet, rows_to_show
 from datagen.executors import dask_client, process_executor
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
+from datagen.notes import from_bits
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
+from datagen.placement import COLUMNS, TABLE, UPS, with_owners_word
 from datagen.plan import keep_listed, list_models, open_or_create, plan
 from datagen.render import SHADINGS
 
@@ -53,7 +56,8 @@ def define_flags(f: flags.FlagValues) -> None:
     'category',
     None,
     "One category, or several separated by commas; for --source=sweethome3d also 'NAME=PATTERN', a"
-    ' regular expression of names, without commas.',
+    ' regular expression of names, without commas. Several categories of --source=meshes are the'
+    ' subfolders of these names.',
     **own,
   )
   flags.DEFINE_string('input', None, 'The folder or file that --source reads.', **own)
@@ -68,6 +72,30 @@ def define_flags(f: flags.FlagValues) -> None:
     ' made, and no others. Without it the source decides the split, or a hash of the id.',
     **own,
   )
+  flags.DEFINE_enum(
+    'split',
+    None,
+    dataset_lib.SPLITS,
+    'The split of all models.',
+    **own,
+  )
+  flags.DEFINE_enum('up', 'y', list(UPS), 'The axis of the files that points up.', **own)
+  flags.DEFINE_float(
+    'turn',
+    0.0,
+    'Degrees by which models are turned, anticlockwise seen from above, so that they face +z: 180'
+    ' for those that face -z, -90 for those that face +x.',
+    **own,
+  )
+  flags.DEFINE_string(
+    'table',
+    None,
+    f'A CSV file with a column id and any of {", ".join(COLUMNS)}: what it says of a model goes'
+    f' before the flags. Without it, {TABLE} in the input folder, if it is there.',
+    **own,
+  )
+  flags.DEFINE_string('licence', None, 'Of models whose source states none.', **own)
+  flags.DEFINE_string('creator', None, 'Of models whose source states none.', **own)
   flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
   flags.DEFINE_float(
     'tolerance',
@@ -118,6 +146,19 @@ def run(f: flags.FlagValues) -> None:
   if f.splits:
     found, note = keep_listed(found, f.splits, f.limit)
     print(note)
+  found = with_owners_word(
+    found,
+    table=f.table,
+    input_dir=f.input,
+    up=f.up,
+    turn=f.turn,
+    split=f.split,
+    licence=f.licence,
+    creator=f.creator,
+  )
+  turned = any(m.up != 'y' or m.turn for m in found)
+  if turned and hasattr(sources.source(f.source), 'read_record'):
+    raise UserError(f'--source={f.source} holds records, which cannot be turned by --up or --turn')
   planned = plan(found, f.source, input_dir=f.input)
   with contextlib.ExitStack() as stack:
     memory, in_hand = int(f.memory_limit * 2**30), None
@@ -148,9 +189,10 @@ def run(f: flags.FlagValues) -> None:
   if not done.any():
     model_id, reason = next(iter(failures.items()))
     raise UserError(f'not one of {len(planned)} models could be made; {model_id}: {reason}')
-  sheet = contact_sheet(dataset, np.flatnonzero(done)[:SHEET_MODELS])
+  made = [o.row for o in outcomes if not o.reason]
+  sheet = contact_sheet(dataset, rows_to_show(dataset, done, made, SHEET_MODELS))
   write_png(dataset, 'contact_sheet.png', sheet)
-  print(summary(dataset, done, outcomes, failures))
+  print(summary(dataset, done, outcomes, failures, len(planned) - len(jobs)))
 
 
 def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, str]:
@@ -175,7 +217,11 @@ def write_png(dataset: Dataset, name: str, image: np.ndarray) -> None:
 
 
 def summary(
-  dataset: Dataset, done: np.ndarray, outcomes: Sequence[Outcome], failures: dict[str, str]
+  dataset: Dataset,
+  done: np.ndarray,
+  outcomes: Sequence[Outcome],
+  failures: dict[str, str],
+  there: int,
 ) -> str:
   """What the run did, for a person.
 
@@ -184,11 +230,11 @@ def summary(
     done: [N] bool, the models it holds now.
     outcomes: of this run.
     failures: id -> reason.
+    there: how many of the models that were asked for had been made before.
   """
   manifest = dataset.manifest
   splits = Counter(m.split for m, there in zip(manifest.models, done, strict=True) if there)
   made = [o for o in outcomes if not o.reason]
-  there = int(done.sum()) - len(made)
   lines = [
     f'{dataset.root}: {done.sum()} models ('
     + ', '.join(f'{splits[s]} {s}' for s in dataset_lib.SPLITS)
@@ -199,12 +245,22 @@ def summary(
     lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
   if rated:
     lines += _flow_lines(FlowStats(*np.mean(rated, axis=0)))
+  lines += _note_lines([o.facts for o in made if o.facts is not None])
   shown = list(failures.items())[:REASONS_SHOWN]
   lines += [f'failed: {model_id}: {reason}' for model_id, reason in shown]
   if len(failures) > REASONS_SHOWN:
     lines.append(f'and {len(failures) - REASONS_SHOWN} more, in failures.json')
   lines.append(f'look at contact_sheet.png in {dataset.root}')
   return '\n'.join(lines)
+
+
+def _note_lines(facts: Sequence[Facts]) -> list[str]:
+  """What readers missed, ignored or guessed, and of how many models."""
+  lacking = sum(f.missing > 0 for f in facts)
+  lines = [f'{lacking} models name files or materials that are not there'] if lacking else []
+  counts = Counter(note for f in facts for note in from_bits(f.notes))
+  lines += [f'{count} models: {note}' for note, count in counts.most_common()]
+  return [*lines, 'which models they are: datagen.inspect'] if lines else []
 
 
 def _flow_lines(s: FlowStats) -> list[str]:

@@ -19,10 +19,12 @@ from cvn.files import atomic_write
 from datagen.contact_sheet import contact_sheet
 from datagen.examine import Examined, examine, suspicions
 from datagen.flow import FIDELITY
+from datagen.notes import from_bits
 
 BINS = 10  # of the histogram
 BAR = 40  # characters
 SHOWN = 20  # suspicious models, and reasons of failures
+NOTED = 5  # models shown of each note
 SHEET_MODELS = 12
 
 
@@ -77,6 +79,7 @@ def describe(model: Model, examined: Examined, reasons: Sequence[str]) -> str:
     f'{"colour":10} {_quality([examined])}',
     f'{"volume":10} {examined.volume:.3f} of its bounding box, signed',
   ]
+  lines += [f'{"note":10} {note}' for note in from_bits(examined.notes)]
   return '\n'.join(lines + [f'suspicious {r}' for r in reasons])
 
 
@@ -122,12 +125,26 @@ def overview(
   lines += ['', f'{len(failures)} failed']
   reasons = Counter(failures.values()).most_common(SHOWN)
   lines += [f'{count:9}  {reason}' for reason, count in reasons]
+  lines += ['', 'ignored or guessed by the readers', *_noted(models, examined)]
   suspicious = [(m.id, r) for m, r in zip(models, found, strict=True) if r]
   lines += ['', f'{len(suspicious)} suspicious']
   lines += [f'  {model_id}: {"; ".join(r)}' for model_id, r in suspicious[:SHOWN]]
   if len(suspicious) > SHOWN:
     lines.append(f'  and {len(suspicious) - SHOWN} more; look at one with --id=ID')
   return '\n'.join(lines)
+
+
+def _noted(models: Sequence[Model], examined: Sequence[Examined]) -> list[str]:
+  """Each note with the models that have it."""
+  having: dict[str, list[str]] = {}
+  for model, e in zip(models, examined, strict=True):
+    for note in from_bits(e.notes):
+      having.setdefault(note, []).append(model.id)
+  lines = []
+  for note, ids in sorted(having.items(), key=lambda item: -len(item[1])):
+    more = f' and {len(ids) - NOTED} more' if len(ids) > NOTED else ''
+    lines.append(f'{len(ids):9}  {note}: {", ".join(ids[:NOTED])}{more}')
+  return lines or ['        0']
 
 
 def _quality(examined: Sequence[Examined]) -> str:

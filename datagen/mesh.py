@@ -2,8 +2,8 @@
 
 Colours are sRGB RGBA values as stored in files, in [0, 1], never linearised. A face has a colour at
 each corner (material, vertex and face colour, multiplied) and, maybe, a texture that multiplies it.
-Texture coordinates are (u, v), u right, v up: v = 1 is the top of the image, which is row 0, and
-images repeat without end.
+Texture coordinates are (u, v), u right, v up: v = 1 is the top of the image, which is row 0. Beyond
+[0, 1] an image repeats without end, is mirrored at each turn, or its border goes on, along u and v.
 
 What is surface: every face, glass too (a corner alpha below 1 tells of glass and takes nothing
 away), except where the texture's own alpha is below `CUTOUT_ALPHA`: there is a hole.
@@ -18,6 +18,8 @@ from cvn.grid import OBJECT_EXTENT
 
 CUTOUT_ALPHA = 0.5
 NO_COLOR = 0.6  # the grey of a mesh that has no colour at all
+WRAPS = ('repeat', 'mirror', 'clamp')
+REPEAT = ('repeat', 'repeat')  # along u and v
 MAX_COORDINATE = 1e100  # products of some of them are still finite
 
 
@@ -30,11 +32,13 @@ class TexturedMesh(NamedTuple):
   corner_uv: np.ndarray  # [F, 3, 2] float32; 0 where a face has no texture
   texture: np.ndarray  # [F] int32 into textures; -1 where a face has none
   textures: tuple[np.ndarray, ...]  # [H, W, 4] uint8 RGBA each
-  missing: tuple[str, ...] = ()  # files of textures and materials that are named but not there
+  missing: tuple[str, ...] = ()  # files and materials that are named but not there
+  wraps: tuple[tuple[str, str], ...] = ()  # of each texture, along u and v; () repeats all
+  notes: tuple[str, ...] = ()  # of datagen.notes: what its reader ignored or guessed
 
 
 def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-  """Colour of surface points: the texture, bilinear and repeating, times the corners' colour.
+  """Colour of surface points: the texture, bilinear, times the corners' colour.
 
   Args:
     mesh: the mesh.
@@ -72,24 +76,35 @@ def _texels(mesh, face, barycentric, only=None):
     at = np.flatnonzero(texture == t)
     if len(at):
       uv = _interpolate(mesh.corner_uv, face[at], barycentric[at])
-      yield at, _sample(mesh.textures[t], uv)
+      yield at, _sample(mesh.textures[t], uv, mesh.wraps[t] if mesh.wraps else REPEAT)
 
 
-def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
-  """Bilinear, repeating lookup: [H, W, 4] uint8 at [N, 2] -> [N, 4] float32 in [0, 1].
+def _sample(image: np.ndarray, uv: np.ndarray, wrap: tuple[str, str] = REPEAT) -> np.ndarray:
+  """Bilinear lookup: [H, W, 4] uint8 at [N, 2] -> [N, 4] float32 in [0, 1].
 
   Texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H.
   """
   height, width = image.shape[:2]
-  x = uv[:, 0] % 1 * width - np.float32(0.5)
-  y = -uv[:, 1] % 1 * height - np.float32(0.5)
-  x0, y0 = np.floor(x), np.floor(y)
-  fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-  left, top = x0.astype(np.int64) % width, y0.astype(np.int64) % height
-  right, bottom = (left + 1) % width, (top + 1) % height
+  left, right, fx = _texel_pair(uv[:, 0], width, wrap[0])
+  top, bottom, fy = _texel_pair(-uv[:, 1] if wrap[1] == 'repeat' else 1 - uv[:, 1], height, wrap[1])
+  fx, fy = fx[:, None], fy[:, None]
   upper = image[top, left] * (1 - fx) + image[top, right] * fx
   lower = image[bottom, left] * (1 - fx) + image[bottom, right] * fx
   return (upper * (1 - fy) + lower * fy) / np.float32(255)
+
+
+def _texel_pair(at, size, wrap):
+  """The two texels beside [N] places along one side, and the second one's share."""
+  if wrap == 'mirror':
+    at = 1 - np.abs(at % 2 - 1)
+  x = (at % 1 if wrap == 'repeat' else at) * size - np.float32(0.5)
+  first = np.floor(x)
+  share = x - first
+  first = first.astype(np.int64)
+  if wrap == 'repeat':
+    first = first % size
+    return first, (first + 1) % size, share
+  return first.clip(0, size - 1), (first + 1).clip(0, size - 1), share
 
 
 def check(mesh: TexturedMesh) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from cvn import dataset as dataset_lib
 from cvn.camera import AZIMUTHS, IMAGE_SIZE, camera_at
-from cvn.dataset import Record
+from cvn.dataset import Facts, Record
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import mesh as mesh_lib
@@ -32,6 +32,7 @@ from datagen.examine import flow_stats
 from datagen.facts import facts_of
 from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
 from datagen.limits import call_within
+from datagen.placement import stand_up
 from datagen.render import render
 from datagen.sources import SourceModel
 from datagen.voxelize import voxelize
@@ -70,6 +71,7 @@ class Outcome(NamedTuple):
   seconds: float
   stats: FlowStats | None  # None when it failed
   reason: str  # '' when it did not
+  facts: Facts | None = None  # of its mesh
 
 
 def make_record(
@@ -114,7 +116,7 @@ def run_job(job: Job) -> Outcome:
     UserError: the data set cannot be written: no other model will fare better.
   """
   start = time.perf_counter()
-  stats, reason = None, ''
+  stats, facts, reason = None, None, ''
   try:
     arrays = dataset_lib.open_arrays(job.root)
     try:
@@ -123,14 +125,14 @@ def run_job(job: Job) -> Outcome:
       reason = str(e)
     else:
       dataset_lib.write_record(arrays, job.row, record)
-      stats = made
+      stats, facts = made, record.facts
   except UserError:
     raise
   except MemoryError:
     reason = NO_MEMORY
   except Exception as e:  # one file that some library chokes on must not stop the run
     reason = f'{type(e).__name__}: {e}'
-  return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()))
+  return Outcome(job.row, time.perf_counter() - start, stats, ' '.join(reason.split()), facts)
 
 
 def _make(job: Job) -> tuple[Record, FlowStats]:
@@ -143,7 +145,8 @@ def _make(job: Job) -> tuple[Record, FlowStats]:
       grid_size=job.settings.grid_size,
     )
     return record, flow_stats(record, job.settings.similarity)
-  return make_record(source.load(job.model), job.settings)
+  mesh = stand_up(source.load(job.model), job.model.up, job.model.turn)
+  return make_record(mesh, job.settings)
 
 
 def run_jobs(
@@ -187,7 +190,9 @@ def run_jobs(
             suspects.append(job)
         if not running:
           break
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
+        # What ran out of memory goes first: what failed after it may be done at the same time.
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for future in sorted(done, key=lambda future: not _ran_out_of_memory(future)):
           job = running.pop(future)
           try:
             outcome = future.result()
@@ -212,6 +217,12 @@ def run_jobs(
       executor.shutdown()
     while suspects:
       yield _run_alone(suspects.popleft(), make_executor)
+
+
+def _ran_out_of_memory(future):
+  if future.cancelled() or future.exception() is not None:
+    return False
+  return future.result().reason == NO_MEMORY
 
 
 def _run_alone(job: Job, make_executor: Callable[[int], Executor]) -> Outcome:

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 
@@ -10,10 +11,10 @@ from cvn.dataset import Dataset, Manifest, Model
 from cvn.errors import UserError
 from datagen import sources
 from datagen.pipeline import Settings
-from datagen.sources import SourceModel
+from datagen.sources import SourceModel, mesh_folder
 from datagen.splits import read_splits, split_of
 
-VERSION = 3  # of what is generated: the same settings and version give the same bytes
+VERSION = 4  # of what is generated: the same settings and version give the same bytes
 
 
 def list_models(
@@ -30,6 +31,12 @@ def list_models(
   if len(set(wanted)) < len(wanted):
     raise UserError(f'--category names one twice: {",".join(wanted)}')
   listing = sources.source(source).list_models
+  if source == 'meshes':
+    for name in wanted:
+      if not re.fullmatch(r'\w[\w .-]*', name):
+        raise UserError(f'--category={name} is no name: --source=meshes knows no patterns')
+    if len(wanted) > 1:
+      listing = mesh_folder.list_folders
   models = [m for c in wanted for m in listing(c, input_dir, limit, seed)]
   if not models:
     raise UserError(f'{input_dir or source} has no model of category {",".join(wanted)}')
@@ -87,6 +94,9 @@ def plan(
       path=_relative(m.path, input_dir),
       licence=m.licence,
       creator=m.creator,
+      content=m.content,
+      up=m.up,
+      turn=m.turn,
     )
     for m in models
   ]
@@ -101,6 +111,11 @@ def _relative(path: str, input_dir: str | None) -> str:
   return os.path.basename(path)
 
 
+def _without(model: Model) -> Model:
+  """A model without that for which it is made anew when it changes."""
+  return model._replace(content='', up='y', turn=0.0)
+
+
 def open_or_create(
   root: str, models: Sequence[Model], settings: Settings, *, append: bool
 ) -> tuple[Dataset, list[int]]:
@@ -113,7 +128,8 @@ def open_or_create(
     append: whether to plan the models that a data set that is there does not hold.
 
   Returns:
-    (the data set, the row of each model).
+    (the data set, the row of each model). Models whose files, `up` or `turn` have changed are not
+    made any more.
 
   Raises:
     UserError: the data set that is there was made with other settings, holds another model of the
@@ -145,8 +161,15 @@ def open_or_create(
   if old._replace(models=()) != manifest._replace(models=()):
     raise UserError(f'{root} holds a data set with other sizes or views: {way_out}')
   row_of = {m.id: row for row, m in enumerate(old.models)}
+  changed = {
+    row_of[m.id]: m
+    for m in models
+    if m.id in row_of
+    and _without(old.models[row_of[m.id]]) == _without(m)
+    and old.models[row_of[m.id]] != m
+  }
   for m in models:
-    if m.id in row_of and old.models[row_of[m.id]] != m:
+    if m.id in row_of and row_of[m.id] not in changed and old.models[row_of[m.id]] != m:
       differs = [
         f'{name} {was!r}, not {now!r}'
         for name, was, now in zip(Model._fields, old.models[row_of[m.id]], m, strict=True)
@@ -159,6 +182,8 @@ def open_or_create(
       f'{root} holds a data set of {len(old.models)} models without {len(new)} of these'
       f' {len(models)} (first: {new[0].id}): give --append to add them, or {way_out}'
     )
+  if changed:
+    dataset = dataset_lib.replan(dataset, changed)
   if new:
     dataset = dataset_lib.extend(dataset, new)
     row_of |= {m.id: len(old.models) + n for n, m in enumerate(new)}

@@ -55,6 +55,7 @@ def test_kernels(python, name):
     'XDG_CACHE_HOME': str(FOLDER / 'cache'),
     'JAX_COMPILATION_CACHE_DIR': str(FOLDER / 'cache' / 'jax'),  # that of x86-64 is no use here
   }
+  environment['JAX_DISABLE_MOST_OPTIMIZATIONS'] = 'true'  # XLA's compiler is what is slow here
   command = [python, '-c', RUN, '-q', '-p', 'no:cacheprovider', TESTS / f'{name}.py']
   done = subprocess.run(
     command, cwd=TESTS.parent, env=environment, capture_output=True, text=True, timeout=3600

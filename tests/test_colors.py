@@ -13,10 +13,10 @@ from trimesh.visual.material import PBRMaterial
 
 from cvn.camera import camera_at, project
 from cvn.grid import OBJECT_EXTENT, world_to_grid
-from datagen.files import folder_files
 from datagen.mesh import NO_COLOR
 from datagen.pipeline import Settings, make_record
 from datagen.reading import read_mesh
+from datagen.reading.files import folder_files
 
 RUST, MOSS, NAVY, CREAM = (200, 60, 30), (40, 140, 60), (20, 50, 120), (240, 230, 200)
 GREY = (round(NO_COLOR * 255),) * 3
@@ -126,7 +126,7 @@ def test_obj_missing_texture_is_the_material_color_and_missing_mtl_grey(tmp_path
   mesh = read(write_obj(tmp_path, mtl, '\n'.join(parts)))
   grey = {CENTERS['bl']: GREY, CENTERS['br']: GREY}  # materials that the MTL file does not have
   assert_sheet(mesh, QUARTERS | grey)
-  assert mesh.missing == ('gone.png',)
+  assert mesh.missing == ('gone.png', 'material bl', 'material br')
 
 
 def test_obj_paths_of_windows(tmp_path):

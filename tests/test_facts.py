@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from datagen import notes
 from datagen.facts import facts_of
 from datagen.mesh import TexturedMesh
 
@@ -40,3 +41,12 @@ def test_both_sides_and_sheets_have_no_volume():
   assert facts_of(textured(trimesh.util.concatenate(ball, other))).volume == pytest.approx(0)
   sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
   assert facts_of(textured(sheet)).volume == 0
+
+
+def test_notes_are_bits_of_a_float32():
+  box = textured(trimesh.creation.box())._replace(notes=(notes.POSE, notes.NO_COORDINATES))
+  bits = np.float32(facts_of(box).notes)
+  assert notes.from_bits(bits) == (notes.NO_COORDINATES, notes.POSE)
+  every = np.float32(notes.to_bits(notes.NOTES))
+  assert notes.from_bits(every) == notes.NOTES and len(set(notes.NOTES)) == len(notes.NOTES) <= 24
+  assert notes.from_bits(0.0) == ()

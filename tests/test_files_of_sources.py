@@ -10,8 +10,8 @@ import zipfile
 import pytest
 
 from cvn.errors import UserError
-from datagen import files as files_lib
-from datagen.files import archive_files, find, folder_files
+from datagen.reading import files as files_lib
+from datagen.reading.files import archive_files, find, folder_files
 
 
 @pytest.fixture

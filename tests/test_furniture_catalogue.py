@@ -5,7 +5,7 @@ import zipfile
 import pytest
 
 from cvn.errors import UserError
-from datagen.files import archive_files
+from datagen.reading.files import archive_files
 from datagen.sources import furniture_catalogue
 from datagen.sources.furniture_catalogue import parse_properties, read_catalogue
 

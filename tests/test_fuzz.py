@@ -15,9 +15,9 @@ from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
 from datagen.coincident import without_coincident
-from datagen.files import archive_files, folder_files
 from datagen.mesh import normalize
 from datagen.reading import read_mesh
+from datagen.reading.files import archive_files, folder_files
 from datagen.voxelize import voxelize
 
 FILES = 2000

@@ -17,7 +17,8 @@ from PIL import Image
 from cvn import dataset as dataset_lib
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen import generate, pipeline, plan
+from datagen import generate, notes, pipeline, plan
+from datagen.contact_sheet import rows_to_show
 from datagen.pipeline import Job, Outcome, Settings, make_record, run_jobs
 from datagen.sources import SourceModel
 from datagen.sources.mesh_folder import load
@@ -152,6 +153,22 @@ def test_a_data_set_made_otherwise_is_not_touched(generated, meshes, threads, mo
   assert contents(generated[1]) == before
 
 
+def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
+  (tmp_path / 'in').mkdir()
+  solid = 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl {}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n'
+  (tmp_path / 'in' / 'x.mtl').write_text('newmtl Wood\nKd 1 0 0\n')
+  for name, material in (('a', 'Wood'), ('b', 'wood'), ('c', 'oak')):
+    (tmp_path / 'in' / f'{name}.obj').write_text('mtllib x.mtl\n' + solid.format(material))
+  generate.run(parsed(*arguments(tmp_path / 'in', tmp_path / 'out')))
+  out = capsys.readouterr().out
+  assert '1 models name files or materials that are not there\n' in out
+  assert f'1 models: {notes.MATERIAL_GUESSED}\n' in out
+  dataset = dataset_lib.open_dataset(str(tmp_path / 'out'))
+  facts = [dataset_lib.read_record(dataset, row).facts for row in range(3)]
+  assert [f.missing for f in facts] == [0, 0, 1]
+  assert [notes.from_bits(f.notes) for f in facts] == [(), (notes.MATERIAL_GUESSED,), ()]
+
+
 def test_all_failed(tmp_path, threads):
   (tmp_path / 'meshes').mkdir()
   (tmp_path / 'meshes' / 'empty.obj').write_text('v 0 0 0\n')
@@ -209,7 +226,7 @@ def test_the_program_ends_bad_input_with_one_line(tmp_path):
   [
     (['--category='], 'no category'),
     (['--category=box,box'], 'twice'),
-    (['--category=box,chair'], 'have the id'),
+    (['--category=box,chair'], 'has no subfolder box'),
     (['--output=/proc/cvn'], '/proc/cvn'),
   ],
 )
@@ -358,6 +375,66 @@ def test_models_are_appended_to_a_data_set(generated, meshes, tmp_path, threads,
   generate.run(parsed(*arguments(meshes, output)))
   generate.run(parsed(*arguments(part, output)))
   assert 'made 0, already there 2, failed 1' in capsys.readouterr().out
+
+
+def test_a_mesh_that_changes_is_made_anew(meshes, tmp_path, threads, capsys):
+  folder, output = tmp_path / 'in', tmp_path / 'out'
+  shutil.copytree(meshes, folder)
+  generate.run(parsed(*arguments(folder, output)))
+  write_box(folder / 'c.ply', (3, 2, 1), (0, 255, 0, 255))
+  capsys.readouterr()
+  generate.run(parsed(*arguments(folder, output)))
+  assert 'made 1, already there 1, failed 1' in capsys.readouterr().out
+  dataset = dataset_lib.open_dataset(str(output))
+  assert (dataset_lib.read_record(dataset, 2).surface_color == [0, 255, 0]).all()
+  generate.run(parsed(*arguments(folder, tmp_path / 'at once')))
+  assert contents(output) == contents(tmp_path / 'at once')
+
+
+def test_models_that_lie_are_turned(meshes, tmp_path, threads, capsys):
+  output = tmp_path / 'out'
+  generate.run(parsed(*arguments(meshes, output)))
+  generate.run(parsed(*arguments(meshes, output, '--up=z', '--turn=90')))
+  assert 'made 2, already there 0, failed 1' in capsys.readouterr().out
+  dataset = dataset_lib.open_dataset(str(output))
+  index = dataset_lib.read_record(dataset, 2).surface_index.astype(int)  # 3 by 2 by 1 before
+  assert np.ptp(index, axis=0).tolist() == [41, 21, 61]
+  assert (dataset.manifest.models[2].up, dataset.manifest.models[2].turn) == ('z', 90.0)
+  f = parsed('--source=im2avatar_release', '--category=x', f'--output={output}', '--up=z')
+  with pytest.raises(UserError):
+    generate.run(f)
+
+
+def test_several_categories_are_subfolders(meshes, tmp_path, threads):
+  for name in ('car', 'human'):
+    (tmp_path / 'in' / name).mkdir(parents=True)
+    shutil.copy(meshes / 'a.ply', tmp_path / 'in' / name)
+  shutil.copy(meshes / 'c.ply', tmp_path / 'in')
+  flags = [f'--input={tmp_path / "in"}', f'--output={tmp_path / "out"}', '--split=test']
+  generate.run(
+    parsed('--source=meshes', '--category=car,human', *flags, '--licence=CC0', '--creator=Anna')
+  )
+  models = dataset_lib.open_dataset(str(tmp_path / 'out')).manifest.models
+  assert [(m.id, m.category, m.path) for m in models] == [
+    ('car_a', 'car', os.path.join('car', 'a.ply')),
+    ('human_a', 'human', os.path.join('human', 'a.ply')),
+  ]
+  assert {(m.split, m.licence, m.creator) for m in models} == {('test', 'CC0', 'Anna')}
+  with pytest.raises(UserError, match='has no subfolder table'):
+    generate.run(parsed('--source=meshes', '--category=car,table', *flags))
+  with pytest.raises(UserError, match='is no name'):
+    generate.run(parsed('--source=meshes', '--category=car|human', *flags))
+
+
+def test_the_contact_sheet_shows_every_category_and_new_models_first():
+  models = [dataset_lib.Model(str(n), 'car' if n < 6 else 'human', 'train', 'x') for n in range(9)]
+  manifest = dataset_lib.Manifest(tuple(models), (), 1, 1, 1, {})
+  dataset = dataset_lib.Dataset('', manifest, {})
+  done = np.ones(9, bool)
+  done[1] = False
+  assert rows_to_show(dataset, done, [], 4) == [0, 2, 6, 7]
+  assert rows_to_show(dataset, done, [8, 5], 4) == [0, 5, 6, 8]
+  assert rows_to_show(dataset, done, [], 99) == [0, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_another_source_is_appended(generated, tmp_path, threads):

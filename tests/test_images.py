@@ -9,7 +9,7 @@ import PIL.Image
 import pytest
 
 from cvn.errors import UserError
-from datagen.images import MAX_PIXELS, check_image, to_rgba
+from datagen.reading.images import MAX_PIXELS, check_image, to_rgba
 
 COLOR = (200, 100, 50)
 

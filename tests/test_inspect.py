@@ -7,8 +7,10 @@ from absl import flags
 from PIL import Image
 
 from cvn import dataset as dataset_lib
+from cvn.dataset import Facts
 from cvn.errors import UserError
-from datagen import inspect
+from datagen import inspect, notes
+from datagen.notes import to_bits
 
 
 @pytest.fixture(scope='module')
@@ -19,7 +21,10 @@ def data(tmp_path_factory):
   )
   red = dataset_lib.read_record(made, 2)
   red.surface_color[:] = (200, 0, 0)
+  red = red._replace(facts=Facts(notes=to_bits([notes.POSE, notes.NO_COORDINATES])))
   dataset_lib.write_record(made.arrays, 2, red)
+  other = dataset_lib.read_record(made, 3)
+  dataset_lib.write_record(made.arrays, 3, other._replace(facts=Facts(notes=to_bits([notes.POSE]))))
   dataset_lib.write_json(made.root, 'failures.json', {'m7': 'm7.obj: the mesh has no faces'})
   return path
 
@@ -41,6 +46,8 @@ def test_a_whole_data_set(data, tmp_path, capsys):
   assert '        7  not stated' in out
   assert '1 failed\n        1  m7.obj: the mesh has no faces' in out
   assert '1 suspicious\n  m2: all of one colour\n' in out
+  assert f'        2  {notes.POSE}: m2, m3\n' in out
+  assert f'        1  {notes.NO_COORDINATES}: m2\n' in out
   with Image.open(tmp_path / 'sheet.png') as sheet:
     assert sheet.height > 7 * 128
 
@@ -68,6 +75,7 @@ def test_one_model(data, tmp_path, capsys):
   out = capsys.readouterr().out
   assert 'category   ball' in out
   assert 'suspicious all of one colour' in out
+  assert f'note       {notes.POSE}' in out
   assert 'look at' not in out
 
 

@@ -169,7 +169,7 @@ def test_conv2d(library, shape, size, out, mixed):
   (dy,) = draw(jax.eval_shape(conv2d.library_conv2d, x, kernel).shape)
 
   def ours(x, kernel):
-    return (conv2d.conv2d(x, kernel, mixed),)
+    return (conv2d.conv2d(x, kernel, mixed=mixed),)
 
   kernels = ['cvn_conv2d', 'cvn_conv2d_input_gradient', 'cvn_conv2d_kernel_gradient']
   got = compute(ours, library, (x, kernel), (dy,), kernels)

@@ -198,14 +198,14 @@ def test_off_and_stl_are_grey(tmp_path):
     ('a.obj', b'', 'no faces'),
     ('a.obj', b'v 0 0 0\nv 1 0 0\nv 0 1 0\n', 'no faces'),
     ('a.obj', b'v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n', 'not finite'),
-    ('a.obj', b'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n', 'cannot be read as OBJ'),
+    ('a.obj', b'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n', 'out of bounds'),
     ('a.obj', b'v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n', 'no faces'),
     ('a.obj', b'\x00\xff\xfe rubbish \x80', 'a.obj'),
     ('a.glb', b'glTF rubbish', 'cannot be read as GLB'),
     ('a.gltf', b'{"asset": {', 'cannot be read as GLTF'),
     ('a.ply', b'ply\nformat ascii 1.0\nelement vertex 3\n', 'a.ply'),
-    ('a.dae', b'<html></html>', 'cannot be read as DAE'),
-    ('a.off', b'OFF\n3 1 0\n0 0 0\n', 'cannot be read as OFF'),
+    ('a.dae', b'<html></html>', 'no COLLADA'),
+    ('a.off', b'OFF\n3 1 0\n0 0 0\n', 'holds fewer'),
     ('a.stl', b'solid', 'a.stl'),
   ],
 )
@@ -292,3 +292,30 @@ DAE = """<?xml version="1.0" encoding="utf-8"?>
 </bind_material></instance_geometry></node></visual_scene></library_visual_scenes>
 <scene><instance_visual_scene url="#s"/></scene></COLLADA>
 """
+
+
+def test_the_checksum_is_of_all_that_belongs_to_a_mesh(tmp_path):
+  """Of a mesh alone in its folder, of meshes in one folder, and of what cannot be read."""
+  for folder in ('alone', 'alone/textures', 'many'):
+    (tmp_path / folder).mkdir()
+  for name in ('alone/a.obj', 'many/a.obj', 'many/b.obj'):
+    (tmp_path / name).write_text('v 0 0 0\n')
+  os.mkfifo(tmp_path / 'many' / 'pipe.obj')
+
+  def checksums():
+    return {m.id: m.content for m in mesh_folder.list_models('x', str(tmp_path))}
+
+  first = checksums()
+  assert first['many_pipe'] == '' and all(first[id] for id in ('alone_a', 'many_a', 'many_b'))
+  changed = {}
+  for name in ('alone/textures/a.png', 'many/a.mtl', 'many/c.txt', 'many/b.obj'):
+    (tmp_path / name).write_text('new')
+    now = checksums()
+    changed[name] = [id for id in now if now[id] != first[id]]
+    first = now
+  assert changed == {
+    'alone/textures/a.png': ['alone_a'],
+    'many/a.mtl': ['many_a'],
+    'many/c.txt': [],
+    'many/b.obj': ['many_b'],
+  }

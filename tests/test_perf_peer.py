@@ -1,4 +1,4 @@
-"""Another program's command and figure."""
+"""The commands that run PyTorch, and what is read from their output."""
 
 import sys
 
@@ -6,28 +6,40 @@ import pytest
 
 from cvn.errors import UserError
 from experiments.perf import peer
-
-FIELDS = {'network': 'shape', 'batch': 12, 'dtype': 'bf16'}
+from experiments.perf.peer import Setting
 
 
 def python(code):
   return [sys.executable, '-c', code]
 
 
-def test_fields_are_filled_in_word_by_word():
-  command = peer.make_command("run 'a b' --net={network} -b {batch} {dtype}", **FIELDS)
-  assert command == ['run', 'a b', '--net=shape', '-b', '12', 'bf16']
+def test_mixed_precision_is_compared_with_both_types():
+  assert peer.list_settings('float32', ['default']) == [Setting('float32', 'default')]
+  assert peer.list_settings('mixed', ['default', 'compile']) == [
+    Setting('float32', 'default'),
+    Setting('float32', 'compile'),
+    Setting('bfloat16', 'default'),
+    Setting('bfloat16', 'compile'),
+  ]
 
 
-@pytest.mark.parametrize('template', ['run {net}', 'run {}', 'run {', "run 'a"])
-def test_a_template_that_cannot_be_read(template):
-  with pytest.raises(UserError, match='its fields are'):
-    peer.make_command(template, **FIELDS)
+def test_a_setting_becomes_flags():
+  setting = Setting('bfloat16', 'channels_last+compile')
+  first, program, *rest = peer.make_command('py', setting, network='shape', batch_size=12, steps=3)
+  assert first == 'py' and program.endswith('torch_peer.py')
+  assert rest == [
+    *('--network=shape', '--batch_size=12', '--steps=3', '--dtype=bfloat16'),
+    *('--channels_last', '--compile'),
+  ]
 
 
 def test_the_last_figure_counts():
-  code = "print('warm-up: 1.25 images/s'); print('shape bf16 batch 12: 8.50 images/s')"
-  assert peer.measure(python(code)) == 8.5
+  code = "print('PyTorch 9'); print('first: 1.25 images/s'); print('8.50 images/s')"
+  assert peer.run(python(code)) == peer.Trial(8.5, 'PyTorch 9')
+
+
+def test_time_is_up():
+  assert peer.run(python('import time; time.sleep(60)'), timeout=0.2) is None
 
 
 @pytest.mark.parametrize(
@@ -39,11 +51,11 @@ def test_the_last_figure_counts():
     ("import sys; sys.exit('no memory')", r'status 1 \(no memory\)'),
   ],
 )
-def test_a_peer_that_says_nothing_or_fails(code, message):
+def test_no_figure(code, message):
   with pytest.raises(UserError, match=message):
-    peer.measure(python(code))
+    peer.run(python(code))
 
 
-def test_a_peer_that_is_not_there():
-  with pytest.raises(UserError, match='cannot be run'):
-    peer.measure(['./no-such-program'])
+def test_an_interpreter_that_does_not_exist():
+  with pytest.raises(UserError, match='--peer_python cannot be run'):
+    peer.run(['./no-such-program'])

@@ -1,14 +1,11 @@
 """Polygons that are not convex keep their shape when they are cut into triangles."""
 
-import io
-
 import numpy as np
 import pytest
-import trimesh
 
-from datagen.files import folder_files
-from datagen.polygons import MAX_CORNERS, cut_concave, triangulate
 from datagen.reading import read_mesh
+from datagen.reading.files import folder_files
+from datagen.reading.polygons import MAX_CORNERS, cut, cut_mixed, triangulate
 
 L = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
 ARROW = [(0, 0), (2, -1), (0, 3), (-2, -1)]
@@ -57,74 +54,91 @@ def test_a_polygon_that_crosses_itself_is_cut_somehow():
     assert all(len(set(t)) == 3 for t in triangles)
 
 
-def obj(polygon, face=None):
-  """A file with the polygon, tilted in space, as its only face, in front of a triangle."""
+def tilted(polygon):
+  """[N, 3] of a polygon tilted in space."""
   tilt = np.array([[0.6, 0.0, 0.8], [0.48, 0.8, -0.36]])
-  lines = ['v {} {} {}'.format(*p) for p in np.asarray(polygon) @ tilt + [5, 6, 7]]
-  return '\n'.join([*lines, face or 'f ' + ' '.join(map(str, range(1, len(polygon) + 1))), ''])
+  return np.asarray(polygon) @ tilt + [5, 6, 7]
 
 
-def loaded_area(content):
-  scene = trimesh.load_scene(io.BytesIO(content), file_type='obj', process=False)
-  return scene.area
+def area_of(points, triangles):
+  a, b, c = (points[triangles[:, k]] for k in range(3))
+  return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def fan(n):
+  return [[0, k, k + 1] for k in range(1, n - 1)]
 
 
 @pytest.mark.parametrize(('points', 'expected'), [(L, 5), (ARROW, 6), (RING, 12)])
 @pytest.mark.parametrize('mirrored', [False, True])
-def test_files_keep_the_area(points, expected, mirrored):
+def test_polygons_in_space_keep_their_area(points, expected, mirrored):
   for first in range(len(points)):
-    polygon = np.roll(points, first, axis=0) * [-1 if mirrored else 1, 1]
-    np.testing.assert_allclose(loaded_area(cut_concave(obj(polygon).encode())), expected)
+    polygon = tilted(np.roll(points, first, axis=0) * [-1 if mirrored else 1, 1])
+    of, corner = cut(polygon[None])
+    assert (of == 0).all()
+    np.testing.assert_allclose(area_of(polygon, corner), expected)
 
 
-def test_meshes_are_read_this_way(tmp_path):
-  (tmp_path / 'a.obj').write_text(obj(RING, 'f -10 -9 -8 -7 -6 -5 -4 -3 -2 -1'))
-  mesh = read_mesh(folder_files(str(tmp_path)), 'a.obj')
-  a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-  np.testing.assert_allclose(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2, 12)
-
-
-def test_all_else_stays():
-  """Corners keep their texture coordinates and normals, faces their material and place."""
-  face = 'usemtl a\nf 4/7/1 1/8/2 2//3 3\r\nusemtl b\nf 1 2 3\nf 4 1 2 3 # no'
-  cut = cut_concave(obj(ARROW, face).encode()).decode()
-  start = obj(ARROW, 'X').split('X')[0]
-  assert cut.startswith(start)
-  assert cut[len(start) :] == face.replace('4/7/1 1/8/2 2//3 3', '1/8/2 2//3 3 4/7/1') + '\n'
-  cut = cut_concave(obj(L, 'usemtl a\nf 5/1 6/2 1/3 2/4 3/5 4/6\nusemtl b').encode()).decode()
-  lines = cut.split('\n')[len(L) :]
-  assert (lines[0], lines[5:]) == ('usemtl a', ['usemtl b', ''])
-  assert all(line.startswith('f ') for line in lines[1:5])
-  corners = {corner for line in lines[1:5] for corner in line.split()[1:]}
-  assert corners == {'5/1', '6/2', '1/3', '2/4', '3/5', '4/6'}
+def test_only_those_that_need_it_are_cut_otherwise():
+  square = [(0, 0), (1, 0), (1, 1), (0, 1)]
+  bent = np.roll(ARROW, 1, axis=0)  # its first corner does not see the one opposite
+  of, corner = cut(np.stack([tilted(square), tilted(bent), tilted(ARROW)]))
+  assert of.tolist() == [0, 0, 1, 1, 2, 2]
+  assert corner.tolist() == [*fan(4), [1, 2, 3], [1, 3, 0], *fan(4)]
 
 
 @pytest.mark.parametrize(
-  'content',
+  'points',
   [
-    b'',
-    b'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n',
-    obj([(0, 0), (1, 0), (1, 1), (0, 1)]).encode(),
-    obj([(1, 0), (2, 1), (2, 2), (0, 2), (0, 1)]).encode(),
-    obj(ARROW).encode(),  # its first corner sees all others
-    obj(L, 'f 1 2 3 4 5 99').encode(),
-    obj(L, 'f 1 2 3 4 5 0').encode(),
-    b'v 0 0 0\nv nan 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n',
-    b'v 0 0 0\nf 1 1 1 1\n',
+    tilted([(1, 0), (2, 1), (2, 2), (0, 2), (0, 1)]),
+    np.array([[0, 0, 0], [np.nan, 0, 0], [1, 1, 0], [0, 1, 0]]),
+    np.zeros((6, 3)),
   ],
 )
-def test_what_needs_no_cut_or_allows_none_stays_as_it_is(content):
-  assert cut_concave(content) == content
+def test_what_needs_no_cut_or_allows_none_is_a_fan(points):
+  assert cut(points[None])[1].tolist() == fan(len(points))
 
 
-def test_huge_polygons_are_left_alone():
+def test_huge_polygons_are_fans():
   radius = np.resize([1, 0.2], MAX_CORNERS + 2)
   angle = np.linspace(0, 2 * np.pi, len(radius), endpoint=False)
   star = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-  content = obj(np.round(star, 6)).encode()
-  assert cut_concave(content) == content
+  assert cut(tilted(star)[None])[1].tolist() == fan(len(star))
 
 
-def test_coordinates_that_are_none():
-  with pytest.raises(ValueError):
-    cut_concave(b'v a b c\nf 1 1 1 1\n')
+def test_polygons_of_several_kinds_keep_their_order():
+  vertices = np.concatenate([tilted(L), tilted(np.add(L, 10))])
+  polygons = [
+    (np.array([3, 7]), np.array([[0, 1, 2], [6, 7, 8]])),
+    (np.array([2, 5]), np.stack([np.arange(6), np.arange(6) + 6])),
+  ]
+  place, corner = cut_mixed(vertices, polygons)
+  assert place.tolist() == [2] * 4 + [3] + [5] * 4 + [7]
+  assert corner[4].tolist() == corner[9].tolist() == [0, 1, 2]
+  np.testing.assert_allclose(area_of(vertices, corner[:4]), 5)
+
+
+PLY = """ply
+format ascii 1.0
+element vertex 10
+property double x
+property double y
+property double z
+element face 1
+property list uchar int vertex_indices
+end_header
+"""
+
+
+@pytest.mark.parametrize('kind', ['obj', 'ply', 'off'])
+def test_meshes_are_read_this_way(tmp_path, kind):
+  points = ['{} {} {}'.format(*p) for p in tilted(RING)]
+  rows = '\n'.join(points)
+  content = {
+    'obj': '\n'.join([f'v {p}' for p in points] + ['f -10 -9 -8 -7 -6 -5 -4 -3 -2 -1']),
+    'ply': f'{PLY}{rows}\n10 0 1 2 3 4 5 6 7 8 9\n',
+    'off': f'OFF\n10 1 0\n{rows}\n10 0 1 2 3 4 5 6 7 8 9\n',
+  }[kind]
+  (tmp_path / f'a.{kind}').write_text(content)
+  mesh = read_mesh(folder_files(str(tmp_path)), f'a.{kind}')
+  np.testing.assert_allclose(area_of(mesh.vertices, mesh.faces), 12)

@@ -14,11 +14,11 @@ import pytest
 
 from cvn.errors import UserError
 from cvn.grid import OBJECT_EXTENT
-from datagen import from_trimesh as from_trimesh_lib
-from datagen import reading
-from datagen.files import Files, archive_files, folder_files
+from datagen import notes
 from datagen.mesh import albedo, normalize
-from datagen.reading import read_mesh
+from datagen.reading import headers, read_mesh
+from datagen.reading import parts as parts_lib
+from datagen.reading.files import Files, archive_files, folder_files
 
 POINTS = 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n'
 TEXTURED = 'mtllib a.mtl\n' + POINTS + 'usemtl m\nf 1/1 2/2 3/3\n'
@@ -92,12 +92,14 @@ def refused(folder, name, content, reason=None, **others):
   assert name in str(e.value) and '\n' not in str(e.value)
 
 
-OUTSIDE = [
-  '../secret.png',
+OUTSIDE = ['../secret.png', '..\\secret.png', 'x/../../secret.png']
+ELSEWHERE = [
   '/etc/passwd',
+  '{folder}/../secret.png',
   'C:\\secret.png',
+  '\\\\host\\share\\secret.png',
   'file:///etc/passwd',
-  'http://a.b/c.png',
+  'http://a.b/secret.png',
 ]
 
 
@@ -110,9 +112,34 @@ def test_files_outside_are_refused(tmp_path, outside):
   refused(folder, 'a.obj', TEXTURED, reason, a__mtl=f'newmtl m\nmap_Kd {outside}\n')
   refused(folder, 'b.obj', TEXTURED.replace('a.mtl', outside), reason)
   refused(folder, 'a.ply', ply(picture=outside), reason)
+  outside = outside.replace('\\', '/')
   refused(folder, 'a.gltf', gltf(uri=outside), reason)
   refused(folder, 'b.gltf', gltf(picture=outside), reason)
   refused(folder, 'c.gltf', gltf(picture=outside.replace('..', '%2e%2e')), reason)
+
+
+@pytest.mark.parametrize('outside', ELSEWHERE)
+@pytest.mark.parametrize('there', [False, True])
+def test_of_paths_from_elsewhere_the_last_part_is_looked_for(tmp_path, outside, there):
+  """Among the model's own files: what the path leads to is never read."""
+  folder = tmp_path / 'in'
+  folder.mkdir()
+  (tmp_path / 'secret.png').write_bytes(b'secret')
+  outside = outside.format(folder=folder)
+  if there:
+    (folder / 'textures').mkdir()
+    (folder / 'textures' / outside.replace('\\', '/').split('/')[-1]).write_bytes(png())
+  missing = () if there else (outside,)
+  mtl = f'newmtl m\nKd 0 1 0\nmap_Kd {outside}\n'
+  mesh = read(folder, 'a.obj', TEXTURED, a__mtl=mtl)
+  assert mesh.missing == missing and color(mesh) == (list(RED) if there else [0, 255, 0])
+  assert (notes.PICTURE_GUESSED in mesh.notes) == there
+  assert read(folder, 'a.ply', ply(picture=outside)).missing == missing
+  uri = outside.replace('\\', '/')
+  assert read(folder, 'a.gltf', gltf(picture=uri)).missing == (() if there else (uri,))
+  if not there:
+    assert read(folder, 'b.obj', TEXTURED.replace('a.mtl', outside)).missing == (outside,)
+    refused(folder, 'b.gltf', gltf(uri=uri), 'which is not there')
 
 
 def test_missing_pictures_are_counted(tmp_path):
@@ -145,7 +172,7 @@ def test_one_picture_of_many_materials_is_one_texture(tmp_path, monkeypatch):
   files = {'a__mtl': mtl, 'a__png': png(), 'b__png': png((0, 0, 255))}
   mesh = read(tmp_path, 'a.obj', faces, **files)
   assert len(mesh.textures) == 2
-  monkeypatch.setattr(from_trimesh_lib, 'MAX_TEXTURES', 300)
+  monkeypatch.setattr(parts_lib, 'MAX_TEXTURES', 300)
   refused(tmp_path, 'a.obj', faces, 'its textures take more', **files)
 
 
@@ -248,7 +275,7 @@ def test_scenes_without_end_or_of_too_many_faces(tmp_path, monkeypatch):
   refused(
     tmp_path, 'a.gltf', gltf().replace('{"mesh": 0}', '{"mesh": 0, "children": [0]}'), 'no end'
   )
-  monkeypatch.setattr(reading, 'MAX_FACES', 1)
+  monkeypatch.setattr(headers, 'MAX_FACES', 1)
   refused(tmp_path, 'a.obj', POINTS + 'f 1 2 3\nf 3 2 1\n', '2 faces, more than 1')
 
 

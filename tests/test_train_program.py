@@ -294,10 +294,10 @@ def test_fewer_epochs_than_there_are_is_an_error(made, tmp_path):
 
 
 def test_the_configuration_is_known_before_the_run(made, tmp_path):
-  run(made, tmp_path / 'run', '--learning_rate=0.01', '--recipe=best', epochs=1)
+  run(made, tmp_path / 'run', '--learning_rate=0.01', '--recipe=best', '--dtype=mixed', epochs=1)
   stored = checkpoint.read_config(str(tmp_path / 'run'))
   named = {'network': 'shape', 'data': made, 'workdir': 'elsewhere', 'epochs': 1, 'batch_size': 2}
-  asked = training.configuration(**named, learning_rate=0.01, recipe='best')
+  asked = training.configuration(**named, learning_rate=0.01, recipe='best', dtype='mixed')
   assert stored == {'format': checkpoint.FORMAT, **asked}
   assert (stored['recipe'], stored['sample'], stored['schedule']) == (
     'best',

@@ -5,11 +5,11 @@ import pytest
 import scipy.ndimage
 import trimesh
 from scipy.spatial.transform import Rotation
+from solids import textured
 
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, index_to_world
 from datagen.benchmark import lumpy_ball
-from datagen.from_trimesh import from_trimesh
 from datagen.mesh import TexturedMesh, normalize
 from datagen.voxelize import voxelize
 
@@ -29,7 +29,7 @@ def turned(mesh, seed):
 
 
 def occupied(mesh, size=GRID_SIZE):
-  index, *_ = voxelize(mesh if isinstance(mesh, TexturedMesh) else from_trimesh(mesh), size)
+  index, *_ = voxelize(mesh if isinstance(mesh, TexturedMesh) else textured(mesh), size)
   grid = np.zeros((size,) * 3, bool)
   grid[tuple(index.T)] = True
   return grid
@@ -119,7 +119,7 @@ def test_no_flood_enters_a_closed_ball(subdivisions):
 
 
 def test_axis_aligned_box_is_one_voxel_thick_and_keeps_the_margin():
-  mesh = normalize(from_trimesh(trimesh.creation.box((1, 1, 1))))
+  mesh = normalize(textured(trimesh.creation.box((1, 1, 1))))
   grid = occupied(mesh)
   expected = np.zeros_like(grid)
   expected[1:-1, 1:-1, 1:-1] = True
@@ -147,7 +147,7 @@ def test_thin_rod_does_not_vanish(thickness, seed):
 
 
 def test_index_is_sorted_and_unique_and_small():
-  index, color, _ = voxelize(from_trimesh(trimesh.creation.icosphere(radius=0.4)), 32)
+  index, color, _ = voxelize(textured(trimesh.creation.icosphere(radius=0.4)), 32)
   assert index.dtype == color.dtype == np.uint8
   assert index.shape == color.shape and index.max() < 32
   flat = index.astype(int) @ [32 * 32, 32, 1]
@@ -157,7 +157,7 @@ def test_index_is_sorted_and_unique_and_small():
 def test_points_are_the_nearest_of_the_surface():
   half = np.array([0.31, 0.17, 0.08])
   box, rotation, shift = turned(trimesh.creation.box(2 * half), 0)
-  voxels = voxelize(from_trimesh(box))
+  voxels = voxelize(textured(box))
   center = index_to_world(voxels.index.astype(float))
   np.testing.assert_allclose(box_distance((voxels.point - shift) @ rotation, half), 0, atol=1e-9)
   far = np.linalg.norm(voxels.point - center, axis=-1) * GRID_SIZE
@@ -174,7 +174,7 @@ def test_subdividing_faces_changes_colors_little():
   pairs = []
   for box in (coarse, fine):
     box.visual.vertex_colors = np.column_stack([box.vertices + 0.5, np.ones(len(box.vertices))])
-    index, color, _ = voxelize(from_trimesh(box))
+    index, color, _ = voxelize(textured(box))
     pairs.append({tuple(i): c.astype(int) for i, c in zip(index, color, strict=True)})
   shared = pairs[0].keys() & pairs[1].keys()
   assert len(shared) > 0.95 * len(pairs[0])
@@ -185,7 +185,7 @@ def test_faces_of_a_box_have_their_colors():
   box = trimesh.creation.box((0.9, 0.9, 0.9))
   palette = {k: [200 * (k[0] + 1) // 2, 90 * (k[1] + 1), 120 * (k[2] + 1), 255] for k in SIDES}
   box.visual.face_colors = [palette[tuple(np.rint(n).astype(int))] for n in box.face_normals]
-  index, color, _ = voxelize(from_trimesh(box))
+  index, color, _ = voxelize(textured(box))
   position = index_to_world(index.astype(float))
   for side, expected in palette.items():
     axis = np.flatnonzero(side)[0]
@@ -322,7 +322,7 @@ def test_parts_outside_the_cube_are_cut_off():
 def test_chunks_do_not_change_the_result(monkeypatch):
   knot = trimesh.creation.torus(0.3, 0.1)
   knot.visual.vertex_colors = np.column_stack([knot.vertices + 0.5, np.ones(len(knot.vertices))])
-  mesh = from_trimesh(knot)
+  mesh = textured(knot)
   index, color, _ = voxelize(mesh)
   monkeypatch.setattr('datagen.voxelize.CHUNK', 1000)
   other_index, other_color, _ = voxelize(mesh)
@@ -331,7 +331,7 @@ def test_chunks_do_not_change_the_result(monkeypatch):
 
 
 def test_errors():
-  mesh = from_trimesh(trimesh.creation.box((0.5, 0.5, 0.5)))
+  mesh = textured(trimesh.creation.box((0.5, 0.5, 0.5)))
   with pytest.raises(ValueError, match='256'):
     voxelize(mesh, 256)
   with pytest.raises(UserError, match='no visible surface'):

@@ -52,7 +52,7 @@ def deconv(
   last = activated(x[:, slabs[2] - 1 : -1 : slabs[2]], gain, offset, activation)
   before = _pad(last, 1, (1, 0))  # the plane before each slab
 
-  def slab(sums, arrays):
+  def slab(_, arrays):
     x, before = arrays
     n, s, sy, sz, _ = x.shape
     a = jnp.concatenate([before, activated(x, gain, offset, activation)], 1)
@@ -70,10 +70,10 @@ def deconv(
       return y.reshape(n, s, 2 * sy, 2 * sz, cout)
 
     y = jnp.stack([planes(copies, even), planes(copies[:4], odd)], 2).astype(dtype)
-    return sums + _sums(y), y
+    return None, (y, _sums(y))
 
-  sums, y = lax.scan(slab, jnp.zeros((2, cout)), (_split(x, slabs), _split(before, slabs)))
-  return y.reshape(b, *(2 * s for s in size), cout), sums
+  _, (y, sums) = _scan(slab, _split(x, slabs), _split(before, slabs))
+  return y.reshape(b, *(2 * s for s in size), cout), jnp.sum(sums, 0)
 
 
 def deconv_gradient(
@@ -135,12 +135,13 @@ def conv(
     )
     return given[1] + _pad(low, axis, (1, 0)) + _pad(high, axis, (0, 1))
 
-  def slab(_, x):
+  def slab(_, arrays):
+    (x,) = arrays
     a = activated(x, gain, offset, activation).astype(jnp.float32)
     given = (a.reshape(-1, block * cin) @ matrix).reshape(*x.shape[:3], sz // block, 3, 3, -1)
     return None, add([given[..., j, :] for j in range(3)], 2)
 
-  _, given = lax.scan(slab, None, _split(x, slabs))
+  _, given = _scan(slab, _split(x, slabs))
   given = given.reshape(b, sx, sy, sz // block, 3, block + 2, cout)
   given = add([given[..., i, :, :] for i in range(3)], 1)
   y, end = given[..., 1:-1, :], block - 1
@@ -246,6 +247,11 @@ def _slabs(shape, rows):
 def _split(v, slabs):
   """[B, .., Y, Z, C] -> [N, n, .., Y, Z, C], of a volume whose planes belong to slabs in order."""
   return v.reshape(*slabs[:2], -1, *v.shape[2:])
+
+
+def _scan(slab, *arrays):
+  """The loop over slabs; JAX's own derivative makes the copies again and does not keep them."""
+  return lax.scan(jax.checkpoint(slab, prevent_cse=False), None, arrays)
 
 
 def _total(y, dy, dsums, dtype):

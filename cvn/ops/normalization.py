@@ -90,7 +90,7 @@ def normalize(x, scale, offset, activation: Activation, *, implementation: str =
     plain,
     functools.partial(_normalize_gradient, activation),
     plain_value=plain,
-    plain_gradient=functools.partial(_normalize_gradient, activation),
+    plain_gradient=lambda arrays, _, cotangents: jax.vjp(plain, *arrays)[1](cotangents),
   )(*arrays)
 
 

@@ -53,7 +53,7 @@ LAYERS = (
   ),
   Layer(
     'conv2d',
-    lambda mixed, *arrays: (conv2d.conv2d(*arrays, mixed),),
+    lambda mixed, *arrays: (conv2d.conv2d(*arrays, mixed=mixed),),
     ((8, 32, 32, 64), (5, 5, 64, 64)),
   ),
 )

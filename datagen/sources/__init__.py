@@ -31,6 +31,9 @@ class SourceModel(NamedTuple):
   split: str = ''  # 'train', 'val' or 'test' where the source itself says so
   licence: str = ''  # as the source states it; '' where it does not
   creator: str = ''
+  content: str = ''  # a checksum of its files where these may change; '' otherwise
+  up: str = 'y'  # what points up in its file, a key of datagen.placement.UPS
+  turn: float = 0.0  # degrees by which it is turned then, anticlockwise seen from above
 
 
 def source(name: str) -> ModuleType:

@@ -10,7 +10,7 @@ import re
 from typing import NamedTuple
 
 from cvn.errors import UserError
-from datagen.files import Files
+from datagen.reading.files import Files
 
 MAX_CATALOGUE = 1 << 24  # bytes; the largest real one has 0.15 million
 _CATALOGUE = re.compile(

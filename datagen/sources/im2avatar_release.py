@@ -19,7 +19,7 @@ from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from datagen import release
 from datagen.axes import OURS, find_axes
-from datagen.files import Files, folder_files
+from datagen.reading.files import Files, folder_files
 from datagen.sources import SourceModel
 from datagen.splits import SYNSETS
 

@@ -7,7 +7,7 @@ a screen shows: it is taken as sRGB.
 
 import posixpath
 
-from datagen.files import Files
+from datagen.reading.files import Files
 
 _LIBRARY = 'java3d-built-in.mtl'
 

@@ -1,18 +1,39 @@
-"""Source `meshes`: every mesh file of a folder and its subfolders (datagen/reading.py)."""
+"""Source `meshes`: every mesh file of a folder and its subfolders (datagen/reading)."""
 
 import os
+import posixpath
 import zlib
 from collections import Counter
 
 from cvn.errors import UserError
-from datagen.files import folder_files
 from datagen.mesh import TexturedMesh
 from datagen.reading import EXTENSIONS, read_mesh
+from datagen.reading.files import Files, folder_files
 from datagen.sources import SourceModel
+
+COMPANIONS = ('.mtl', '.png', '.jpg', '.jpeg', '.bin')  # of a mesh among others in a folder
+
+
+def list_folders(
+  category: str, input_dir: str, limit: int | None = None, seed: int = 0
+) -> list[SourceModel]:
+  """As `list_models`, of the subfolder that is called as the category is.
+
+  Raises:
+    UserError: there is none, or it holds no mesh file.
+  """
+  if (
+    input_dir and os.path.isdir(input_dir) and not os.path.isdir(os.path.join(input_dir, category))
+  ):
+    raise UserError(
+      f'{input_dir} has no subfolder {category}: several categories of --source=meshes are'
+      ' subfolders of these names'
+    )
+  return list_models(category, input_dir, limit, seed, below=category)
 
 
 def list_models(
-  category: str, input_dir: str, limit: int | None = None, seed: int = 0
+  category: str, input_dir: str, limit: int | None = None, seed: int = 0, *, below: str = ''
 ) -> list[SourceModel]:
   """The folder's mesh files in the order of their ids.
 
@@ -24,6 +45,7 @@ def list_models(
     input_dir: the folder.
     limit: take the first so many; None or 0 takes all.
     seed: not used, the files are what they are.
+    below: only what is in this subfolder.
 
   Raises:
     UserError: the folder does not exist or holds no mesh file.
@@ -33,7 +55,7 @@ def list_models(
     given = f'--input={input_dir} is none' if input_dir else 'give it as --input=DIR'
     raise UserError(f'--source=meshes needs a folder of meshes: {given}')
   found = []
-  for folder, folders, names in os.walk(input_dir):
+  for folder, folders, names in os.walk(os.path.join(input_dir, below)):
     folders[:] = [name for name in folders if not name.startswith('.')]
     for name in names:
       if name.lower().endswith(EXTENSIONS) and not name.startswith('.'):
@@ -45,11 +67,43 @@ def list_models(
   for path, id in ids.items():
     if shared[id] > 1:
       ids[path] = f'{id}_{zlib.crc32(path.encode(errors="surrogateescape")):08x}'
-  models = [
-    SourceModel(id=id, category=category, path=os.path.join(input_dir, path), detail=input_dir)
-    for path, id in sorted(ids.items(), key=lambda item: item[1])
+  chosen = sorted(ids.items(), key=lambda item: item[1])[: limit or None]
+  files, alone = folder_files(input_dir), Counter(os.path.dirname(path) for path in ids)
+  return [
+    SourceModel(
+      id=id,
+      category=category,
+      path=os.path.join(input_dir, path),
+      detail=input_dir,
+      content=_checksum(files, path.replace(os.sep, '/'), alone[os.path.dirname(path)] == 1),
+    )
+    for path, id in chosen
   ]
-  return models[: limit or None]
+
+
+def _checksum(files: Files, name: str, alone: bool) -> str:
+  """Of a mesh file and of those that belong to it; '' where it cannot be read.
+
+  A mesh that is alone in its folder has all that is there and below, but for other meshes; one
+  among others has what has its name with another extension.
+  """
+  folder, stem = posixpath.dirname(name), posixpath.splitext(name)[0]
+  if alone and folder:
+    names = [n for n in files.names(folder) if not n.lower().endswith(EXTENSIONS)]
+  else:
+    names = [f'{stem}{extension}' for extension in COMPANIONS]
+  checksum = 0
+  try:
+    checksum = zlib.crc32(files.read(name))
+    for other in names:
+      try:
+        content = files.read(other)
+      except FileNotFoundError:
+        continue
+      checksum = zlib.crc32(content, zlib.crc32(other.encode(errors='replace'), checksum))
+  except (UserError, FileNotFoundError):
+    return ''  # whoever reads the mesh says why
+  return f'{checksum:08x}'
 
 
 def load(model: SourceModel) -> TexturedMesh:

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.files import archive_files
 from datagen.mesh import TexturedMesh
 from datagen.reading import EXTENSIONS, read_mesh
+from datagen.reading.files import archive_files
 from datagen.sources import SourceModel
 from datagen.sources.furniture_catalogue import Piece, read_catalogue
 from datagen.sources.java3d_materials import with_built_in_materials

@@ -15,21 +15,21 @@ from cvn.ops import compile as compiling
 
 LIMITS = ('none', 'avx2', 'avx512')
 _TARGETS = {'avx2': ('x86-64-v3',), 'avx512': ('x86-64-v4-bf16', 'x86-64-v4')}  # the best first
+_WITHOUT_YNNPACK = '--xla_cpu_experimental_ynn_fusion_type='
 _VARIABLES = {
   'avx2': {
     'ATEN_CPU_CAPABILITY': 'avx2',
     'MKL_ENABLE_INSTRUCTIONS': 'AVX2',
     'ONEDNN_MAX_CPU_ISA': 'AVX2',
-    'XLA_FLAGS': '--xla_cpu_max_isa=AVX2',
+    'XLA_FLAGS': f'--xla_cpu_max_isa=AVX2 {_WITHOUT_YNNPACK}',
   },
   'avx512': {  # without tile units (AMX)
     'ATEN_CPU_CAPABILITY': 'avx512',
     'MKL_ENABLE_INSTRUCTIONS': 'AVX512',
     'ONEDNN_MAX_CPU_ISA': 'AVX512_CORE_BF16',
-    'XLA_FLAGS': '--xla_cpu_max_isa=AVX512_BF16',
+    'XLA_FLAGS': f'--xla_cpu_max_isa=AVX512_BF16 {_WITHOUT_YNNPACK}',
   },
 }
-_WITHOUT_YNNPACK = '--xla_cpu_experimental_ynn_fusion_type='
 
 
 def find_variables(limit: str) -> dict[str, str]:
@@ -55,9 +55,8 @@ def applied(variables: Mapping[str, str]) -> Iterator[None]:
   """Sets variables for the processes that are started in a block; flags of XLA are added to."""
   before = {name: os.environ.get(name) for name in variables}
   for name, value in variables.items():
-    if name == 'XLA_FLAGS':
-      value = ' '.join(filter(None, [before[name], value, _WITHOUT_YNNPACK]))
-    os.environ[name] = value
+    added = before[name] if name == 'XLA_FLAGS' else None
+    os.environ[name] = f'{added} {value}' if added else value
   try:
     yield
   finally:

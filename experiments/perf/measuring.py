@@ -97,14 +97,12 @@ def _call(function, *args):
 def describe_machine() -> dict[str, Any]:
   """The machine, the device and the versions that matter; builds the kernels where it must."""
   device = jax.devices()[0]
-  on_cpu = device.platform == 'cpu'
-  kernels = on_cpu and native.available()
+  library = native.library() if device.platform == 'cpu' else None
   return {
     'processor': processor(),
     'cores': os.cpu_count(),
     'devices': f'{len(jax.devices())} x {device.device_kind}',
-    'compiled kernels': kernels,
-    'tile units': kernels and _has_tiles(),
+    'compiled kernels': library and f'{library.instruction_set} ({library.origin})',
     'versions': {
       'Python': platform.python_version(),
       'jax': jax.__version__,
@@ -224,12 +222,3 @@ def peak_memory() -> int:
   """The most memory that this process has had, bytes."""
   unit = 1 if sys.platform == 'darwin' else 1024
   return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def _has_tiles():
-  """Whether the processor has units (AMX) for bfloat16 matrices, which the kernels then use."""
-  try:
-    with open('/proc/cpuinfo') as f:
-      return any(line.startswith('flags') and 'amx_bf16' in line.split() for line in f)
-  except OSError:
-    return False

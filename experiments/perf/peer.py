@@ -64,11 +64,15 @@ def make_command(
   ]
 
 
-def measure(command: Sequence[str], *, timeout: float = TIMEOUT) -> Trial | None:
-  """Runs a command and reads the last 'X images/s' that it prints; None if time is up.
+def run(command: Sequence[str], *, timeout: float | None = None) -> Trial | None:
+  """Runs a command of `make_command`; None if time is up before it ends.
+
+  Args:
+    command: the interpreter and its arguments.
+    timeout: seconds; None for no limit.
 
   Raises:
-    UserError: the command cannot be run, fails, or prints no such figure.
+    UserError: it cannot be run, fails, or prints no 'X images/s', the last of which counts.
   """
   shown = shlex.join(command)
   try:
@@ -78,7 +82,7 @@ def measure(command: Sequence[str], *, timeout: float = TIMEOUT) -> Trial | None
   except subprocess.TimeoutExpired:
     return None
   except OSError as e:
-    raise UserError(f'PyTorch cannot be run ({e.strerror}): {shown}') from e
+    raise UserError(f'--peer_python cannot be run ({e.strerror}): {shown}') from e
   last = (done.stderr.strip() or done.stdout.strip() or 'no output').splitlines()[-1]
   if done.returncode != 0:
     raise UserError(f'PyTorch ended with status {done.returncode} ({last}): {shown}')

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.files import Files, archive_files, folder_files
+from datagen.reading.files import Files, archive_files, folder_files
 
 BASE = '3dobjs/base.obj'
 RIG = 'rigs/standard/rig.game_engine.json'

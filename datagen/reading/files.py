@@ -10,6 +10,7 @@ import functools
 import os
 import posixpath
 import re
+import unicodedata
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -28,7 +29,9 @@ class Files(NamedTuple):
   path: str  # of the folder or archive
   names: Callable[..., list[str]]  # (folder='') -> all of them below it, sorted
   read: Callable[[str], bytes]  # FileNotFoundError where there is no such file; UserError
-  alike: Callable[[str], str | None]  # a file whose name differs in case only
+  alike: Callable[
+    [str], str | None
+  ]  # a file whose name differs in case or in how accents are written
 
 
 def folder_files(path: str) -> Files:
@@ -68,7 +71,7 @@ def folder_files(path: str) -> Files:
       folder = os.path.join(root, found)
       # A name as it is goes first: of `a/B` and `A/b` either may hold what is wanted.
       others = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
-      same = [n for n in others if n.lower() == part.lower()]
+      same = [n for n in others if _folded(n) == _folded(part)]
       if not same:
         return None
       found = posixpath.join(found, part if part in same else same[0])
@@ -122,11 +125,11 @@ def archive_files(path: str) -> Iterator[Files]:
         raise UserError(f'{name} in {path} cannot be unpacked: {e}') from e
 
     @functools.cache
-    def by_lower_case():
-      return {name.lower(): name for name in sorted(members, reverse=True)}
+    def by_folded_name():
+      return {_folded(name): name for name in sorted(members, reverse=True)}
 
     def alike(name):
-      return by_lower_case().get(_inside(path, name).lower())
+      return by_folded_name().get(_folded(_inside(path, name)))
 
     yield Files(path, names, read, alike)
 
@@ -134,7 +137,8 @@ def archive_files(path: str) -> Iterator[Files]:
 def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
   """The file that another one in `folder` calls `name`, with Windows' habits forgiven.
 
-  Separators may be backslashes, and case may differ where no name agrees exactly.
+  Separators may be backslashes, and case and the spelling of accents may differ where no name
+  agrees exactly.
 
   Args:
     files: where to look.
@@ -149,7 +153,7 @@ def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
     UserError: it lies outside, is too large, or cannot be read.
   """
   name = name.strip().replace('\\', '/')
-  wanted = name if _is_elsewhere(name) else posixpath.normpath(posixpath.join(folder, name))
+  wanted = name if is_elsewhere(name) else posixpath.normpath(posixpath.join(folder, name))
   try:
     return wanted, files.read(wanted)
   except FileNotFoundError:
@@ -159,15 +163,20 @@ def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
     return alike, files.read(alike)
 
 
-def _is_elsewhere(name):
-  """Whether it is an absolute path, of Windows too, or a URL."""
+def is_elsewhere(name: str) -> bool:
+  """Whether a name is an absolute path, of Windows too, or a URL."""
   return name.startswith('/') or re.match(r'[A-Za-z]:|[A-Za-z][\w+.-]+:/', name) is not None
+
+
+def _folded(name):
+  """What is the same for names that differ in case or in how accents are written."""
+  return unicodedata.normalize('NFC', name).lower()
 
 
 def _plain(name):
   """The name in its plain form; None where it leads out."""
   plain = posixpath.normpath(name)
-  leaves = '\0' in name or _is_elsewhere(name) or plain.split('/')[0] == '..'
+  leaves = '\0' in name or is_elsewhere(name) or plain.split('/')[0] == '..'
   return None if leaves else plain
 
 

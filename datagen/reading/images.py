@@ -12,7 +12,10 @@ import PIL.Image
 
 from cvn.errors import UserError
 
-FORMATS = ('PNG', 'JPEG', 'BMP', 'DIB', 'TGA', 'GIF', 'TIFF', 'WEBP', 'DDS', 'PPM', 'PCX', 'SGI')
+FORMATS = (
+  'PNG', 'JPEG', 'BMP', 'DIB', 'TGA', 'GIF', 'TIFF', 'WEBP', 'AVIF', 'DDS', 'PPM', 'PCX', 'SGI',
+)  # fmt: skip
+KTX2 = b'\xabKTX 20\xbb'
 MAX_PIXELS = 1 << 26  # of one picture: 8192 x 8192
 
 
@@ -32,9 +35,16 @@ def check_image(content: bytes) -> None:
     except MemoryError:
       raise
     except Exception as e:  # PIL's readers raise whatever a broken header leads them to
-      raise UserError('is no picture that can be read') from e
+      if is_ktx2(content):
+        raise UserError('is a KTX2 picture (Basis), which cannot be read: make it a PNG') from e
+      raise UserError('is no picture that can be read: make it a PNG or a JPEG') from e
   if width * height > MAX_PIXELS:
     raise UserError(f'is a picture of {width} x {height} pixels, more than {MAX_PIXELS}')
+
+
+def is_ktx2(content: bytes) -> bool:
+  """Whether a file is a texture as graphics processors unpack it, which nothing here can."""
+  return content.startswith(KTX2)
 
 
 def to_rgba(image: PIL.Image.Image, max_side: int) -> np.ndarray:
