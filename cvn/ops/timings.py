@@ -107,6 +107,7 @@ def _run(library):
   path = os.pathsep.join(filter(None, [str(_PACKAGES), environment.get('PYTHONPATH')]))
   # The trial names its library itself: it must not look for one, and so begin another trial.
   environment |= {'PYTHONPATH': path, 'JAX_PLATFORMS': 'cpu', 'CVN_KERNELS': 'off'}
+  environment['JAX_TRACEBACK_FILTERING'] = 'off'  # or an error would not be the last line
   command = [sys.executable, '-m', 'cvn.ops.trial', str(library)]
   try:
     done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT)
