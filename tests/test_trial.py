@@ -3,6 +3,7 @@
 import json
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from cvn.ops import native, trial
@@ -29,6 +30,17 @@ def test_every_operation_is_timed_in_both_types(library, monkeypatch, layer):
   found = trial.measure(library, layer._replace(shapes=SMALL[layer.operation]))
   assert set(found) == {'float32', 'mixed'}
   assert all(0 < t < 100 for times in found.values() for t in times)
+
+
+@pytest.mark.parametrize('layer', trial.LAYERS, ids=lambda layer: layer.operation)
+def test_kernels_are_compared_with_programs_that_have_none(library, layer):
+  arguments = [np.zeros(shape, np.float32) for shape in SMALL[layer.operation]]
+  for chosen in (library, None):
+    with native.using(chosen):
+      text = trial._make_step(layer, False).lower(*arguments).as_text()
+    names = {name for name in native.KERNELS if f'@{name}(' in text}
+    assert bool(names) == (chosen is not None)
+    assert all(f'cvn_{layer.operation}' in name for name in names)
 
 
 def test_the_layers_are_those_that_kernels_exist_for():

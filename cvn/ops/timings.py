@@ -86,14 +86,14 @@ def wins(times: Times) -> bool:
 
 
 def choose_dtype(timings: Timings) -> tuple[str, str]:
-  """The faster of 'float32' and 'mixed' for the 3D layers, and why.
+  """The faster of 'float32' and 'mixed' for the networks, and why.
 
   It is 'mixed' if that is at least a twentieth faster: otherwise float32 is as fast and more exact.
   """
-  totals = {d: 1e3 * sum(min(timings[o][d]) for o in ('deconv', 'conv')) for d in _DTYPES}
+  totals = {d: 1e3 * sum(min(by_dtype[d]) for by_dtype in timings.values()) for d in _DTYPES}
   chosen = 'mixed' if totals['mixed'] < 0.95 * totals['float32'] else 'float32'
   listed = ', '.join(f'{totals[d]:.1f} ms in {d}' for d in _DTYPES)
-  return chosen, f'small 3D layers take {listed} on this processor'
+  return chosen, f'small layers take {listed} on this processor'
 
 
 def _run(library):
@@ -107,6 +107,7 @@ def _run(library):
   path = os.pathsep.join(filter(None, [str(_PACKAGES), environment.get('PYTHONPATH')]))
   # The trial names its library itself: it must not look for one, and so begin another trial.
   environment |= {'PYTHONPATH': path, 'JAX_PLATFORMS': 'cpu', 'CVN_KERNELS': 'off'}
+  environment['JAX_TRACEBACK_FILTERING'] = 'off'  # or an error would not be the last line
   command = [sys.executable, '-m', 'cvn.ops.trial', str(library)]
   try:
     done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT)

@@ -28,28 +28,30 @@ TOLERANCES = {'float32': 1e-3, 'mixed': 2e-2}  # of the largest number of an arr
 
 
 class Layer(NamedTuple):
-  """A layer of the networks, smaller: 1 to 3 GFLOP with its gradients."""
+  """A layer of the networks, smaller."""
 
   operation: str
   function: Callable  # (mixed, x, *arrays) -> arrays
   shapes: tuple[tuple[int, ...], ...]  # of x and the other arrays
 
 
+# The last layers of the shape network at half their size, and work of the encoder in proportion: so
+# the sum of their times tells which type of volumes is faster.
 LAYERS = (
   Layer(
     'deconv',
     lambda mixed, *arrays: deconv.deconv(*arrays, ELU),
-    ((8, 16, 16, 16, 32), (32,), (32,), (3, 3, 3, 32, 16)),
+    ((8, 16, 16, 16, 32), (32,), (32,), (3, 3, 3, 32, 24)),
   ),
   Layer(
     'conv',
     lambda mixed, *arrays: deconv.conv(*arrays, ELU),
-    ((8, 32, 32, 32, 16), (16,), (16,), (3, 3, 3, 16, 3)),
+    ((8, 32, 32, 32, 24), (24,), (24,), (3, 3, 3, 24, 1)),
   ),
   Layer(
     'activated',
     lambda mixed, *arrays: (normalization.activate(*arrays, SIGMOID),),
-    ((8, 32, 32, 32, 3), (3,), (3,)),
+    ((8, 32, 32, 32, 1), (1,), (1,)),
   ),
   Layer(
     'conv2d',
