@@ -1,6 +1,8 @@
 """Figures as text."""
 
-from experiments.perf import layers, texts
+import pytest
+
+from experiments.perf import layers, measuring, texts
 
 
 def test_median_and_range():
@@ -34,3 +36,12 @@ def test_named_tuples_become_dictionaries():
     'forward': plain,
     'backward': plain,
   }
+
+
+@pytest.mark.parametrize('theirs, disturbed', [((4.0, 5.0), False), ((5.0, 0.4), True)])
+def test_a_disturbed_comparison_is_called_one(capsys, theirs, disturbed):
+  ours = [measuring.Steps(9.0, (1.0, 2.0, 3.0), 1 << 30, None)] * 2
+  found = texts.report_peer('shape', 20, ours, theirs, tried=5.5)
+  assert found['disturbed'] is disturbed
+  assert found['ratio']['low'] == 10 / max(theirs) and found['ratio']['high'] == 10 / min(theirs)
+  assert ('not a fair comparison: PyTorch had 5.50' in capsys.readouterr().out) is disturbed

@@ -140,7 +140,8 @@ def measure(kind: str, batch_size: int, dtype: str, plan: Plan) -> dict[str, Any
         theirs.append(peer.run(command).rate)
   found |= texts.report_steps(name, batch_size, ours)
   if command:
-    found['peer'] |= texts.report_peer(name, batch_size, ours, theirs)
+    tried = max(filter(None, found['peer']['tried'].values()))
+    found['peer'] |= texts.report_peer(name, batch_size, ours, theirs, tried=tried)
   if plan.data:
     tell(f'{name}: steps on {plan.data}')
     times = measuring.alone(measuring.time_data, *network, plan.steps, plan.data)

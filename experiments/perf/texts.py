@@ -7,6 +7,8 @@ from typing import Any
 
 from experiments.perf import measuring
 
+DISTURBED = 0.7  # of PyTorch's best rate: what is below it was not measured on an idle machine
+
 
 def describe(machine: Mapping[str, Any], variables: Mapping[str, str]) -> str:
   """The machine in one line, and the limits on its instruction set in another if there are any.
@@ -52,18 +54,36 @@ def report_steps(name: str, batch_size: int, rounds: Sequence[measuring.Steps]) 
 
 
 def report_peer(
-  name: str, batch_size: int, ours: Sequence[measuring.Steps], theirs: Sequence[float]
+  name: str,
+  batch_size: int,
+  ours: Sequence[measuring.Steps],
+  theirs: Sequence[float],
+  *,
+  tried: float,
 ) -> dict[str, Any]:
   """Prints and returns PyTorch's images/s, and how many times as fast our median step is.
 
-  The latter round by round.
+  Args:
+    name: of the combination.
+    batch_size: views in a step.
+    ours: our rounds.
+    theirs: PyTorch's images/s in the same rounds.
+    tried: its images/s when its settings were tried. If the rounds are far slower, another program
+      disturbed them: PyTorch's threads wait for one another all the time, and can lose much more
+      than their share of a busy machine. A line says so.
   """
   ratios = [
     batch_size / statistics.median(r.seconds) / t for r, t in zip(ours, theirs, strict=True)
   ]
   figures, ratio = spread(theirs), spread(ratios)
   say(f'{name}: PyTorch {show(figures)} images/s, ours is {show(ratio)} times as fast')
-  return {'images/s': figures, 'ratio': ratio}
+  disturbed = figures['low'] < DISTURBED * max(tried, figures['high'])
+  if disturbed:
+    say(
+      f'{name}: not a fair comparison: PyTorch had {max(tried, figures["high"]):.2f} images/s in'
+      ' another run, so other programs disturbed this one; repeat it on an idle machine'
+    )
+  return {'images/s': figures, 'ratio': ratio, 'disturbed': disturbed}
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
