@@ -1,6 +1,7 @@
 """Thousands of files with a byte, a number or a line gone wrong: each is a mesh, or an error."""
 
 import io
+import os
 import random
 import re
 import time
@@ -16,7 +17,7 @@ from trimesh.visual.material import PBRMaterial
 from cvn.errors import UserError
 from datagen.coincident import without_coincident
 from datagen.mesh import normalize
-from datagen.reading import read_mesh
+from datagen.reading import EXTENSIONS, read_mesh
 from datagen.reading.files import archive_files, folder_files
 from datagen.voxelize import voxelize
 
@@ -81,6 +82,19 @@ def small_files():
   return [*found, ('a.obj', obj), ('model.gltf', gltf)]
 
 
+def files_of_programs():
+  """Those of meshes.zip, as `small_files`."""
+  found = []
+  with zipfile.ZipFile(os.path.join(os.path.dirname(__file__), 'meshes.zip')) as z:
+    folders = {}
+    for name in z.namelist():
+      folder, _, below = name.partition('/')
+      folders.setdefault(folder, {})[below] = z.read(name)
+  for files in folders.values():
+    found += [(name, files) for name in files if name.lower().endswith(EXTENSIONS)]
+  return found
+
+
 def mutated(rng, content, others):
   """Some content with some things wrong."""
   content = bytearray(content)
@@ -122,10 +136,11 @@ def make(folder, name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('kinds', [small_files, files_of_programs])
 @pytest.mark.parametrize('seed', range(4))
-def test_mutated_files(tmp_path, seed):
+def test_mutated_files(tmp_path, seed, kinds):
   rng = random.Random(seed)
-  kinds = small_files()
+  kinds = kinds()
   contents = [content for _, files in kinds for content in files.values()]
   made = 0
   for n in range(FILES):
@@ -136,6 +151,7 @@ def test_mutated_files(tmp_path, seed):
     for file, content in files.items():
       if file == changed:
         content = mutated(rng, content, contents)
+      (folder / file).parent.mkdir(parents=True, exist_ok=True)
       (folder / file).write_bytes(content)
     start = time.process_time()
     try:
