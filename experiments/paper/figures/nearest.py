@@ -3,15 +3,15 @@ r"""The paper's Figure "nn_sampling": colours from the nearest foreground, and f
 python -m experiments.paper.figures.nearest --data=DIR --workdir=DIR [--per_category=1]
   [--models=all] [--epochs=...] [--quick]
 
-Prints, for all views of all test models, the share of reconstructed voxels whose flow points at the
-background, and the surface PSNR of sampled and blended colours with and without the search for the
-nearest foreground. Shown are, of each category, the models with the highest share, each in the view
-where it is highest: the input, colours sampled through the plain flow, from the nearest foreground,
-and the voxels where it points at the background. Trains what is missing, reuses what is there; the
-figure goes to WORKDIR/figures/nearest.png.
+The program prints, over all views of all test models, the share of reconstructed voxels whose flow
+points at the background, and the surface PSNR of sampled and blended colours with and without the
+search for the nearest foreground. The figure shows the models of each category with the highest
+share, each in the view where the share is highest: the input, colours sampled through the plain
+flow and from the nearest foreground, and the voxels whose flow points at the background. The
+program trains what is missing and reuses what is there; the figure goes to
+WORKDIR/figures/nearest.png.
 """
 
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -20,11 +20,11 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, data, environment, errors, figures, metrics, reconstruct, sampler
+from cvn import blending, data, figures, metrics, reconstruct, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments.lib import markdown, picks, pictures, protocol, scoring
+from experiments.lib import cli, markdown, picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
 
@@ -51,17 +51,12 @@ class Sampled(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'nearest')
-  flags.DEFINE_integer('per_category', 1, 'Models of each category to show.', 1, flag_values=f)
+  flags.DEFINE_integer('per_category', 1, 'Models to show of each category.', 1, flag_values=f)
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f), name=f.name, tile=f.tile, per_category=f.per_category)
 
 
@@ -71,7 +66,7 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   Args:
     plan: how networks are trained.
     name: of the files.
-    tile: pixels of each small picture.
+    tile: size of each small picture in pixels.
     per_category: models to show of each category.
 
   Raises:
@@ -97,14 +92,13 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   tiles = [draw_row(dataset, p, networks[p.model.category], tile=tile) for p in shown]
   found = pictures.find_runs(plan, shown, (METHOD,))
   caption = (
-    'In each category the test models with the highest mean share of voxels whose flow points at'
+    'The test models of each category with the highest mean share of voxels whose flow points at'
     ' the background, in the view where it is highest. The share is'
     f' {summary["all"]["share"]:.1%} over all views of all {len(rows)} test models.'
     f' {pictures.say_training(found)}'
   )
-  facts = {'measures': summary, **pictures.describe(plan, shown, (METHOD,), found)}
   image = pictures.arrange(tiles, TITLES, shown)
-  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
+  pictures.write(plan, name, image, caption, shown, (METHOD,), found, measures=summary)
 
 
 def sample(networks: protocol.Networks, views: np.ndarray, grid_size: int) -> list[Sampled]:
@@ -164,9 +158,9 @@ def to_markdown(summary: Mapping[str, Mapping[str, float]]) -> str:
   lines = []
   for name, means in summary.items():
     share, *psnrs = (means[k] for k in MEASURES)
-    cells = ['-'] * 5 if share is None else [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)]
-    lines.append([name, means['models'], *cells])
-  return markdown.table(head, lines)
+    cells = [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)] if share is not None else []
+    lines.append([name, means['models'], *(cells or [markdown.NONE] * len(MEASURES))])
+  return markdown.numbers(head, lines)
 
 
 def pick_highest(
@@ -208,6 +202,4 @@ def draw_row(
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()
