@@ -17,17 +17,16 @@ by K-means, each colour counting once; a view's complexity is the number of clus
 import os
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import complexity, data, environment, errors, figures, reconstruct
+from cvn import complexity, data, environment, errors, figures
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from experiments.lib import picks, pictures, protocol, runs, scoring, tables
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 from experiments.lib.runs import Run
 from experiments.lib.tables import Result
 from experiments.paper.people import analysis, plots, summary
@@ -85,10 +84,10 @@ def run(f: flags.FlagValues) -> None:
   rows = rng.permutation(rows)[: f.people]
   views = rng.integers(len(dataset.manifest.azimuths), size=len(rows))
   shown = [picks.of(dataset, *x) for x in zip(rows, views, strict=True)]
-  networks = protocol.load(plan, METHOD, scope_of(plan, category), plan.seeds[0])
+  predict = protocol.make_predictor(plan, METHOD, scope_of(plan, category), plan.seeds[0])
   facts = {'figure_seed': f.figure_seed, 'rows': [picks.to_json(p) for p in shown]}
   caption = f'{pictures.say_choice(f.figure_seed)} {CAPTION}'
-  pictures.write(f'{stem}_results', draw_results(dataset, shown, networks), caption, facts)
+  pictures.write(f'{stem}_results', draw_results(dataset, shown, predict), caption, facts)
   print('\n' + '\n'.join(f'{stem}_{k}.png' for k in FIGURES))
   tables.finish(plan.workdir, 'people', summary.to_json(study), results)
 
@@ -181,26 +180,16 @@ def describe_network(run: Run) -> str:
   )
 
 
-def draw_results(
-  dataset: Dataset, shown: Sequence[Pick], networks: protocol.Networks
-) -> np.ndarray:
+def draw_results(dataset: Dataset, shown: Sequence[Pick], predict: Predictor) -> np.ndarray:
   """Reconstructions of some test models, a row each."""
   size = dataset.manifest.grid_size
   rows = []
   for pick in tqdm(shown, desc='draw', unit='model', disable=None):
     record = read_record(dataset, pick.row)
-    batch = reconstruct.reconstruct(
-      networks.shape.variables,
-      networks.color.variables,
-      record.views[[pick.view]].astype(np.float32) / 255,
-      alpha=networks.alpha,
-      grid_size=size,
-    )
-    one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-    voxels = reconstruct.to_voxels(one, networks.threshold)
-    true = scoring.to_voxels(record, size)
     view = record.views[pick.view]
-    rows.append(plots.draw_result(view, pick.azimuth, one, voxels, true, size=TILE))
+    (found,) = predict(view[None])
+    true = scoring.to_voxels(record, size)
+    rows.append(plots.draw_result(view, pick.azimuth, found, true, size=TILE))
   return figures.grid_of_images(
     rows,
     column_titles=plots.TITLES,
