@@ -13,13 +13,13 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import figures
+from cvn import figures, infer
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
 from experiments.lib import differences, picks, protocol, runs, scoring, stages
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 from experiments.lib.runs import Run
 
 SIDE = 30  # degrees
@@ -30,7 +30,6 @@ class Shown(NamedTuple):
   """A pick's data."""
 
   view: np.ndarray  # [H, W, 4] u8
-  batch: np.ndarray  # the view as networks take it: [1, H, W, 4] in [0, 1]
   true: ColoredVoxels
 
 
@@ -60,7 +59,7 @@ def read(dataset: Dataset, pick: Pick) -> Shown:
   record = read_record(dataset, pick.row)
   view = record.views[pick.view]
   true = scoring.to_voxels(record, dataset.manifest.grid_size)
-  return Shown(view, view[None].astype(np.float32) / 255, true)
+  return Shown(view, true)
 
 
 def by_category(
@@ -78,6 +77,12 @@ def by_category(
   for trained_on, judged in protocol.trained_for(plan, list(dict.fromkeys(categories))):
     found |= dict.fromkeys(judged, make(trained_on))
   return found
+
+
+def find_predictors(plan: Plan, categories: Iterable[str], method: str) -> dict[str, Predictor]:
+  """A method's predictors by category; trains and evaluates what is missing."""
+  seed = plan.seeds[0]
+  return by_category(plan, categories, lambda c: protocol.make_predictor(plan, method, c, seed))
 
 
 def arrange(
@@ -130,10 +135,11 @@ def draw_results(
 
   categories = [p.model.category for p in shown]
   for method in tqdm(methods, desc='draw', unit='method', disable=None):
-    predictors = by_category(
-      plan, categories, lambda c, m=method: protocol.make_predictor(plan, m, c, plan.seeds[0])
+    predictors = find_predictors(plan, categories, method)
+    add(
+      infer.to_voxels(predictors[c](k.view[None])[0])
+      for c, k in zip(categories, known, strict=True)
     )
-    add(predictors[c](k.batch)[0] for c, k in zip(categories, known, strict=True))
   add(k.true for k in known)
   # The font of pictures has no Greek letters.
   names = [protocol.METHODS[m].title.replace('α', 'alpha').replace(' (', '\n(') for m in methods]

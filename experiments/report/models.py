@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from cvn import export, figures, methods, metrics
+from cvn import export, figures, infer, metrics, readouts
 from cvn.dataset import Dataset, to_url
 from cvn.grid import ColoredVoxels
 from experiments.lib import evaluation, markdown, page, picks, pictures, protocol, scoring, viewer
@@ -144,13 +144,15 @@ def make_example(dataset: Dataset, pick: Pick, scores: dict[str, Score], load) -
   known = pictures.read(dataset, pick)
   models = []
   for method, score in scores.items():
-    networks = protocol.Networks(
-      load(score.shape, methods.SHAPE_KINDS),
-      load(score.color, methods.COLOR_KINDS),
-      score.threshold,
-      score.alpha,
+    predict = protocol.bind(
+      method,
+      load(score.shape, readouts.SHAPE_KINDS),
+      load(score.color, readouts.COLOR_KINDS),
+      threshold=score.threshold,
+      alpha=score.alpha,
+      azimuths=dataset.manifest.azimuths,
     )
-    (found,) = protocol.predict(method, networks, known.batch, dataset.manifest)
+    found = infer.to_voxels(predict(known.view[None])[0])
     iou = float(metrics.iou(found.occupancy, known.true.occupancy))
     note = f'threshold {score.threshold:.2f}, IoU {iou:.2f}'
     models.append(Model(SHOWN[method], note, found))
@@ -179,5 +181,5 @@ def _located(workdir: Workdir, score: Score) -> Score:
   return score._replace(shape=find(score.shape), color=find(score.color))
 
 
-def _load(folder: str, kinds: Sequence[str], *, dataset: Dataset) -> scoring.Network:
+def _load(folder: str, kinds: Sequence[str], *, dataset: Dataset) -> infer.Network:
   return scoring.load(folder, kinds, dataset)

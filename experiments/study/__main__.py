@@ -23,6 +23,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
+from cvn import infer
 from cvn.dataset import open_dataset
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
@@ -161,7 +162,8 @@ def reconstruct(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> It
     predictors = {m: protocol.make_predictor(plan, m, trained, plan.seeds[0]) for m in methods}
     for pick in (p for p in shown if p.model.category in judged):
       known = pictures.read(dataset, pick)
-      yield Results(pick, known, {m: predict(known.batch)[0] for m, predict in predictors.items()})
+      found = {m: predict(known.view[None])[0] for m, predict in predictors.items()}
+      yield Results(pick, known, {m: infer.to_voxels(x) for m, x in found.items()})
 
 
 def make_pairs(key: dict[str, dict], ours: str, rng: np.random.Generator) -> dict[str, Pair]:

@@ -14,10 +14,11 @@ import matplotlib.figure
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, methods, metrics
+from cvn import data, metrics
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.files import atomic_write
+from cvn.readouts import SHAPE_KINDS
 from experiments.lib import cli, differences, protocol, runs, scoring, stages
 from experiments.lib.protocol import Plan
 
@@ -44,7 +45,7 @@ def make_figure(plan: Plan) -> None:
     for method in METHODS:
       run = protocol.train(plan, protocol.METHODS[method].shape, trained_on, plan.seeds[0])
       used.append(run)
-      shape = scoring.load(run.workdir, methods.SHAPE_KINDS, dataset)
+      shape = scoring.load(run.workdir, SHAPE_KINDS, dataset)
       progress = tqdm(rows, desc=f'{method}, {trained_on}', unit='model', disable=None)
       thresholds, iou = scoring.threshold_curve(dataset, progress, shape)
       curves.setdefault(trained_on, {})[method] = {

@@ -17,17 +17,16 @@ than --t2 of its pixels.
 import os
 from collections.abc import Mapping, Sequence
 
-import jax
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import complexity, data, reconstruct
+from cvn import complexity, data
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from experiments.lib import cli, picks, pictures, protocol, results, runs, scoring
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 from experiments.lib.results import Result
 from experiments.lib.runs import Run
 from experiments.paper.people import analysis, plots, summary
@@ -94,8 +93,8 @@ def run(plan: Plan, color_options: Mapping[str, int], *, people: int, figure_see
   print(f'\n{stem}_azimuth.png\n{stem}_complexity.png')
   options = {'sources': plan.sources, 'per_category': people, 'seed': figure_seed}
   shown = picks.choose(dataset, [category], **options)
-  networks = protocol.load(plan, METHOD, scope_of(plan, category), plan.seeds[0])
-  image = draw_results(dataset, shown, networks)
+  predictors = pictures.find_predictors(plan, [category], METHOD)
+  image = draw_results(dataset, shown, predictors[category])
   runs_shown = pictures.find_runs(plan, shown, (METHOD,))
   caption = f'{pictures.say_choice(figure_seed)} {CAPTION}'
   facts = {'figure_seed': figure_seed}
@@ -103,14 +102,9 @@ def run(plan: Plan, color_options: Mapping[str, int], *, people: int, figure_see
   results.write(plan.workdir, 'people', evaluations, found)
 
 
-def scope_of(plan: Plan, category: str) -> str:
-  """What the networks for a category are trained on."""
-  return protocol.ALL if plan.models == protocol.ALL else category
-
-
 def evaluate(plan: Plan, category: str) -> list[Result]:
   """The evaluations of the method, one for each seed."""
-  scope = scope_of(plan, category)
+  ((scope, _),) = protocol.trained_for(plan, [category])
   return [Result([category], protocol.evaluate(plan, METHOD, scope, s)) for s in plan.seeds]
 
 
@@ -191,23 +185,13 @@ def describe_network(run: Run) -> str:
   )
 
 
-def draw_results(
-  dataset: Dataset, shown: Sequence[Pick], networks: protocol.Networks
-) -> np.ndarray:
+def draw_results(dataset: Dataset, shown: Sequence[Pick], predict: Predictor) -> np.ndarray:
   """Reconstructions of some test models, a row each."""
   rows = []
   for pick in tqdm(shown, desc='draw', unit='model', disable=None):
     known = pictures.read(dataset, pick)
-    batch = reconstruct.reconstruct(
-      networks.shape.variables,
-      networks.color.variables,
-      known.batch,
-      alpha=networks.alpha,
-      grid_size=dataset.manifest.grid_size,
-    )
-    one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-    voxels = reconstruct.to_voxels(one, networks.threshold)
-    rows.append(plots.draw_result(known, pick, one, voxels, tile=TILE))
+    (found,) = predict(known.view[None])
+    rows.append(plots.draw_result(known, pick, found, tile=TILE))
   return pictures.arrange(rows, plots.TITLES, shown)
 
 

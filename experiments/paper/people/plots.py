@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 import matplotlib.figure
 import numpy as np
 
-from cvn import figures
+from cvn import figures, infer
 from cvn.files import atomic_write
-from cvn.grid import ColoredVoxels
+from cvn.infer import Reconstruction
 from cvn.intervals import Estimate
-from cvn.reconstruct import Reconstruction
 from experiments.lib import pictures
 from experiments.lib.picks import Pick
 from experiments.lib.pictures import Shown
@@ -86,22 +85,20 @@ def plot_complexity(
   _save(figure, path)
 
 
-def draw_result(
-  shown: Shown, pick: Pick, one: Reconstruction, voxels: ColoredVoxels, *, tile: int
-) -> list[np.ndarray]:
+def draw_result(shown: Shown, pick: Pick, one: Reconstruction, *, tile: int) -> list[np.ndarray]:
   """The pictures of a view's reconstruction in the order of `TITLES`.
 
   Args:
     shown: the view and the true model.
     pick: the model and the view.
     one: the reconstruction of this view, numpy.
-    voxels: its result.
     tile: size of each picture in pixels.
   """
 
   def draw(drawn, turns):
     return [pictures.draw(drawn, pick, tile=tile, turn=t - pictures.SIDE) for t in turns]
 
+  voxels = infer.to_voxels(one)
   codes = figures.flow_color_code(one.flow), figures.weight_color_code(one.weight)
   return [
     figures.enlarge(shown.view, tile),
