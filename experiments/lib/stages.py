@@ -83,8 +83,14 @@ def read_json(path: str) -> Any:
 
 
 def write_json(path: str, value: Any) -> None:
-  """Writes named tuples as objects and NaN as null."""
-  with atomic_write(path) as temporary, open(temporary, 'w') as out:
+  """Writes a file that appears whole; named tuples become objects, NaN becomes null."""
+  with atomic_write(path) as temporary:
+    dump(temporary, value)
+
+
+def dump(path: str, value: Any) -> None:
+  """Writes into a file of `cvn.files.atomic_write`."""
+  with open(path, 'w') as out:
     out.write(json.dumps(plain(value), indent=1, allow_nan=False) + '\n')
 
 
