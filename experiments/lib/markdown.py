@@ -21,7 +21,8 @@ def table(head: Sequence[object], rows: Iterable[Sequence[object]], *, align: st
   for line in lines:
     if len(line) != len(head):
       raise ValueError(f'a row of {len(line)} cells in a table of {len(head)} columns')
-  return '\n'.join('| ' + ' | '.join(map(str, line)) + ' |' for line in lines)
+  cells = [[re.sub(r'(?<!\\)\|', r'\\|', str(cell)) for cell in line] for line in lines]
+  return '\n'.join('| ' + ' | '.join(line) + ' |' for line in cells)
 
 
 def numbers(head: Sequence[object], rows: Iterable[Sequence[object]], *, caption: str = '') -> str:
@@ -32,12 +33,9 @@ def numbers(head: Sequence[object], rows: Iterable[Sequence[object]], *, caption
 
 def escape(text: object) -> str:
   """Plain text on one line; only code between backquotes keeps its meaning."""
-  parts = str(text).split('`')
-  if len(parts) % 2 == 0:  # a single backquote is no code
-    parts[-2:] = ['\\`'.join(parts[-2:])]
-  plain = [re.sub(r'([\\*_\[\]<|&])', r'\\\1', p) if n % 2 == 0 else p for n, p in enumerate(parts)]
-  code = [p.replace('|', '\\|') if n % 2 else p for n, p in enumerate(plain)]
-  return ' '.join('`'.join(code).split())
+  parts = re.split('(`[^`]+`)', str(text))
+  plain = [p if n % 2 else re.sub(r'([\\`*_\[\]<|&])', r'\\\1', p) for n, p in enumerate(parts)]
+  return ' '.join(''.join(plain).split())
 
 
 def strong(text: object) -> str:
