@@ -109,9 +109,7 @@ def write_figure(path, caption='', program='paper.figures.random'):
   """A red picture, with its caption beside it where there is one."""
   image = np.full((6, 300, 3), (200, 0, 0), np.uint8)
   if caption:
-    write_json(
-      path.with_suffix('.json'), source(program) | {'caption': caption, 'figure_seed': 7}
-    )
+    write_json(path.with_suffix('.json'), source(program) | {'caption': caption, 'figure_seed': 7})
   path.parent.mkdir(parents=True, exist_ok=True)
   Image.fromarray(image).save(path)
 
