@@ -36,6 +36,7 @@ PICTURE_VIEWS = (1, 11, 2, 10)  # of the data set, in turn: the front from diffe
 VALIDATIONS = 6  # in the course of a training, each on so many views
 VALIDATION_VIEWS = 36
 FRESH_STATISTICS = 20  # batches: running statistics do not keep up with so short a training
+NAMES = {'shape': 'shape', 'color': 'colour'}  # of the networks, in words
 MEASURES = {  # title, form and baseline of each measure
   'iou': ('IoU', '{:.3f}', 'mean training shape'),
   'psnr_rgb': ('surface PSNR, RGB', '{:.2f} dB', 'mean training colour'),
@@ -144,7 +145,7 @@ def run(s: Settings) -> int:
     '## Evaluation on the held-out split',
     make_table(report, better),
     '## Training',
-    draw_curves([c for name, log in logs.items() for c in read_curves(name, log)]),
+    draw_curves([c for name, log in logs.items() for c in read_curves(NAMES[name], log)]),
     '## The first objects of the data set',
     Picture('objects', read_bytes(os.path.join(folder['data'], 'contact_sheet.png')), ''),
     f'## Commands, {markdown.minutes(sum(seconds[x] for x in lines))} in all',
