@@ -27,9 +27,10 @@ import numpy as np
 from absl import flags, logging
 from tqdm import tqdm
 
-from cvn import baselines, blending, data, environment, errors, metrics, readouts
+from cvn import blending, data, environment, errors, metrics, readouts
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import baselines
 from cvn.files import atomic_write
 from experiments.lib import scoring
 from experiments.lib.evaluation import ALPHAS, define_flags, make_options

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvn import intervals
+from cvn.evaluation import intervals
 
 
 def test_mean_of_models_as_the_normal_distribution_has_it():

@@ -67,7 +67,7 @@ def normalize(x, gamma, beta, activation: Activation, *, implementation: str = '
     x: [..., C]; other floating types than float32 are cast, also those of gamma and beta.
     gamma, beta: [C], the parameters of the batch normalisation.
     activation: applied after it.
-    implementation: one of dispatch.IMPLEMENTATIONS; all but 'xla' have the gradient above.
+    implementation: see dispatch.py; all but 'xla' have the gradient above.
 
   Returns:
     (y [..., C], mean [C], variance [C]): the variance is the biased one. No gradient flows through
@@ -107,7 +107,7 @@ def activate(x, scale, shift, activation: Activation, *, implementation: str = '
     x: [..., X, Y, Z, C] float32 or bfloat16; other floating types are cast to float32.
     scale, shift: [C], cast to float32.
     activation: the function.
-    implementation: one of dispatch.IMPLEMENTATIONS.
+    implementation: see dispatch.py.
 
   Raises:
     ValueError: shapes do not fit, or the implementation is unknown.
@@ -170,12 +170,14 @@ def _normalize_gradient(activation, arrays, results, cotangents):
   return dz * _spread(scale, x) + x * _spread(slope, x) + _spread(rest, x), d_gamma, d_beta
 
 
-def _kernel(activation, x, scale, shift):
+def _kernel(activation, library, x, scale, shift):
   result = jax.ShapeDtypeStruct(x.shape, x.dtype)
-  return dispatch.call('cvn_activated', [result], x, scale, shift, activation=activation.number)
+  return dispatch.call(
+    library, 'cvn_activated', [result], x, scale, shift, activation=activation.number
+  )
 
 
-def _kernel_gradient(activation, arrays, _, cotangents):
+def _kernel_gradient(activation, library, arrays, _, cotangents):
   """Those of x, scale and shift."""
   x = arrays[0]
   found = [
@@ -183,7 +185,7 @@ def _kernel_gradient(activation, arrays, _, cotangents):
     jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32),
   ]
   dx, sums = dispatch.call(
-    'cvn_activated_gradient', found, *arrays, *cotangents,
+    library, 'cvn_activated_gradient', found, *arrays, *cotangents,
     volumes=(0, 3), in_place=3, activation=activation.number,
   )  # fmt: skip
   dshift, dscale = sums.sum(0)

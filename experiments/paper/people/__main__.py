@@ -21,9 +21,10 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import complexity, data, environment, errors, figures
+from cvn import data, environment, errors, figures
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import complexity
 from experiments.lib import picks, pictures, protocol, runs, scoring, tables
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan, Predictor
@@ -111,7 +112,7 @@ def read_colors(
   Args:
     dataset: the open data set.
     category: of the models.
-    t1, clusters, t2: as of cvn.complexity.
+    t1, clusters, t2: as of cvn.evaluation.complexity.
 
   Raises:
     UserError: there is none, or no colour has t1 pixels.

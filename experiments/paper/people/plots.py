@@ -6,10 +6,10 @@ import matplotlib.figure
 import numpy as np
 
 from cvn import figures, infer
+from cvn.evaluation.intervals import Estimate
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
 from cvn.infer import Reconstruction
-from cvn.intervals import Estimate
 from experiments.paper.people.analysis import Group
 
 COLOR, DPI = '#1f5fa8', 110
