@@ -25,7 +25,7 @@ from jax import lax
 from cvn.ops import dispatch, matmul
 from cvn.ops.derivatives import with_derivatives
 from cvn.ops.dispatch import Implementation
-from cvn.ops.normalization import Activation, activated
+from cvn.ops.normalization import Activation, activated, sum_channels
 
 _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
@@ -195,8 +195,7 @@ def _plain(name, activation, dtype, *arrays):
   def of_library(x, scale, shift, kernel):
     a = activated(x, scale, shift, activation)
     y = _LIBRARY[name](a, kernel.astype(x.dtype)).astype(dtype)
-    wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
-    return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+    return y, sum_channels(y)
 
   return dispatch.product(of_matrices, of_library, *arrays)
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cvn.ops.normalization import Activation, activated
+from cvn.ops.normalization import Activation, activated, sum_channels
 
 _DECONV_ROWS, _CONV_ROWS = 4096, 8192  # voxels of x in a slab, at most
 _BLOCK = 4  # voxels along z that conv takes together, at most
@@ -70,7 +70,7 @@ def deconv(
       return y.reshape(n, s, 2 * sy, 2 * sz, cout)
 
     y = jnp.stack([planes(copies, even), planes(copies[:4], odd)], 2).astype(dtype)
-    return None, (y, _sums(y))
+    return None, (y, sum_channels(y))
 
   _, (y, sums) = _scan(slab, _split(x, slabs), _split(before, slabs))
   return y.reshape(b, *(2 * s for s in size), cout), jnp.sum(sums, 0)
@@ -148,7 +148,7 @@ def conv(
   y += _pad(_pad(given[:, :, :, 1:, :1], 3, (0, 1)), 4, (end, 0))  # the next block's first
   y += _pad(_pad(given[:, :, :, :-1, -1:], 3, (1, 0)), 4, (0, end))  # the last one's last
   y = y.reshape(b, sx, sy, sz, cout).astype(dtype)
-  return y, _sums(y)
+  return y, sum_channels(y)
 
 
 def conv_gradient(
@@ -259,12 +259,6 @@ def _total(y, dy, dsums, dtype):
   first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
   total = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
   return total.astype(dtype).astype(jnp.float32)
-
-
-def _sums(y):
-  """[2, C]: of y and of its square, over all axes but the last."""
-  wide, axes = y.astype(jnp.float32), tuple(range(y.ndim - 1))
-  return jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
 
 
 def _pad(v, axis, widths):

@@ -18,6 +18,7 @@ import numpy as np
 
 from cvn.ops import dispatch
 from cvn.ops.derivatives import with_derivatives
+from cvn.ops.dispatch import Implementation
 
 EPSILON = 1e-3  # of the authors' program
 
@@ -43,24 +44,60 @@ SIGMOID = Activation(jax.nn.sigmoid, lambda y: y * (1 - y), np.int64(2))
 IDENTITY = Activation(lambda x: x, jnp.ones_like, np.int64(0))
 
 
-def coefficients(mean, variance, gamma, beta):
-  """(scale, shift): what normalisation by these statistics multiplies with and adds, [C] all."""
+def sum_channels(x: jax.Array) -> jax.Array:
+  """The sums [2, C] of x [..., C] and of its square, in float32."""
+  wide, axes = x.astype(jnp.float32), tuple(range(x.ndim - 1))
+  return jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+
+
+def moments(sums: jax.Array, count: jax.typing.ArrayLike) -> tuple[jax.Array, jax.Array]:
+  """Mean and biased variance of each channel.
+
+  Args:
+    sums: [2, C], see `sum_channels`.
+    count: of the numbers in a channel.
+
+  Returns:
+    (mean [C], variance [C]).
+  """
+  mean, square = sums / count
+  return mean, jnp.maximum(square - mean * mean, 0)
+
+
+def coefficients(
+  mean: jax.Array, variance: jax.Array, gamma: jax.Array, beta: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+  """Batch normalisation by these statistics as one product and sum.
+
+  (x - mean) / sqrt(variance + EPSILON) * gamma + beta = scale x + shift
+
+  Args:
+    mean, variance: [C], the statistics.
+    gamma, beta: [C], the parameters.
+
+  Returns:
+    (scale [C], shift [C]).
+  """
   scale = gamma * jax.lax.rsqrt(variance + EPSILON)
   return scale, beta - mean * scale
 
 
-def activated(x, scale, shift, activation: Activation):
+def activated(
+  x: jax.Array, scale: jax.Array, shift: jax.Array, activation: Activation
+) -> jax.Array:
   """activation(scale x + shift), made in float32, of the type of x; channels last."""
   z = x.astype(jnp.float32) * _spread(scale, x) + _spread(shift, x)
   return activation.value(z).astype(x.dtype)
 
 
-def affine(x, mean, variance, gamma, beta, activation: Activation):
-  """activation((x - mean) / sqrt(variance + EPSILON) * gamma + beta), channels last."""
-  return activated(x, *coefficients(mean, variance, gamma, beta), activation)
-
-
-def normalize(x, gamma, beta, activation: Activation, *, implementation: str = 'auto'):
+def normalize(
+  x: jax.Array,
+  gamma: jax.Array,
+  beta: jax.Array,
+  activation: Activation,
+  *,
+  implementation: Implementation = 'auto',
+) -> tuple[jax.Array, jax.Array, jax.Array]:
   """Normalises by the batch's own statistics.
 
   Args:
@@ -94,13 +131,14 @@ def normalize(x, gamma, beta, activation: Activation, *, implementation: str = '
   )(*arrays)
 
 
-def moments(sums, x):
-  """(mean [C], biased variance [C]) of x, from the sums [2, C] of it and of its square."""
-  mean, square = sums / (x.size // x.shape[-1])
-  return mean, jnp.maximum(square - mean * mean, 0)
-
-
-def activate(x, scale, shift, activation: Activation, *, implementation: str = 'auto') -> jax.Array:
+def activate(
+  x: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
+  activation: Activation,
+  *,
+  implementation: Implementation = 'auto',
+) -> jax.Array:
   """activation(scale x + shift) of a volume.
 
   Args:
@@ -149,9 +187,8 @@ def activate(x, scale, shift, activation: Activation, *, implementation: str = '
 
 
 def _normalize(activation, x, gamma, beta):
-  axes = tuple(range(x.ndim - 1))
-  mean, variance = moments(jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)]), x)
-  y = affine(x, mean, variance, gamma, beta, activation)
+  mean, variance = moments(sum_channels(x), x.size // x.shape[-1])
+  y = activated(x, *coefficients(mean, variance, gamma, beta), activation)
   return y, jax.lax.stop_gradient(mean), jax.lax.stop_gradient(variance)
 
 
