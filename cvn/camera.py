@@ -45,7 +45,7 @@ def camera_at(azimuth: float, *, image_size: int = IMAGE_SIZE) -> Camera:
   return Camera(K, R, np.array([0.0, 0.0, DISTANCE]))
 
 
-def project(points, camera: Camera):
+def project(points: Any, camera: Camera) -> tuple[Any, Any]:
   """Projects world points through K [R T].
 
   Args:

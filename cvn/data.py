@@ -53,11 +53,18 @@ class ShapeBatch(NamedTuple):
 
 
 def select_rows(
-  dataset: Dataset, split: str, categories: Sequence[str] = (), sources: Sequence[str] = ()
+  dataset: Dataset, split: str, *, categories: Sequence[str] = (), sources: Sequence[str] = ()
 ) -> np.ndarray:
-  """Rows [N] of the finished models of a split; of the categories and sources named, or of all.
+  """The rows of the finished models of a split.
 
-  The result may be empty where the split holds no finished model.
+  Args:
+    dataset: the open data set.
+    split: 'train', 'val' or 'test'.
+    categories: of the models; empty for all.
+    sources: of the models; empty for all.
+
+  Returns:
+    [N] int64, empty if the split holds no finished model.
 
   Raises:
     UserError: the data set has no such split, category or source.
@@ -132,6 +139,12 @@ def decode(batch: Any) -> Any:
 def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBatch:
   """One element of a `ShapeBatch`, as stored: its arrays without the batch axis.
 
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: of the model.
+    slots: S, see `surface_slots`.
+
   Raises:
     UserError: the model's files are damaged.
   """
@@ -141,6 +154,12 @@ def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBat
 
 def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
   """One element of a `Batch`, as stored: its arrays without the batch axis.
+
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: of the model.
+    slots: S, see `surface_slots`.
 
   Raises:
     UserError: the model's files are damaged.
@@ -219,8 +238,17 @@ def training_batches(
   )
 
 
-def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:
-  """[P, 2] pairs (row, view): all of them by row, or `limit` spread evenly over the rows' views."""
+def evaluation_pairs(rows: Sequence[int], views: int, *, limit: int | None = None) -> np.ndarray:
+  """Pairs (row, view) to evaluate on, ordered by row.
+
+  Args:
+    rows: of the models.
+    views: of each model.
+    limit: the most pairs, which are spread evenly over all of them; None for all.
+
+  Returns:
+    [P, 2] int64.
+  """
   pairs = np.stack(np.meshgrid(rows, np.arange(views), indexing='ij'), -1).reshape(-1, 2)
   if limit is not None and limit < len(pairs):
     pairs = pairs[np.linspace(0, len(pairs) - 1, limit).round().astype(int)]
@@ -234,7 +262,14 @@ def evaluation_batches(
   *,
   batch_size: int,
 ) -> grain.MapDataset:
-  """Batches of the pairs [P, 2] in their order; the last one holds what is left over."""
+  """Batches of pairs in their order; the last one may be smaller.
+
+  Args:
+    read: `read_shape` or `read_color`.
+    dataset: the open data set.
+    pairs: [P, 2] (row, view), see `evaluation_pairs`.
+    batch_size: elements of a batch.
+  """
   return (
     grain.MapDataset.source([(int(row), int(view)) for row, view in pairs])
     .map(_reader(read, dataset))
@@ -242,10 +277,15 @@ def evaluation_batches(
   )
 
 
-def iterate(batches: grain.MapDataset, num_epochs: int | None = None) -> grain.DatasetIterator:
-  """Iterates over epochs of batches, without end where `num_epochs` is None; threads read ahead.
+def iterate(batches: grain.MapDataset, *, num_epochs: int | None = None) -> grain.DatasetIterator:
+  """Iterates over epochs of batches; threads read ahead.
 
-  `get_state()` of the result is JSON, and `set_state` continues there.
+  Args:
+    batches: of `training_batches` or `evaluation_batches`.
+    num_epochs: None for no end.
+
+  Returns:
+    An iterator. Its `get_state()` is JSON, and `set_state` continues from there.
   """
   threads = min(os.cpu_count() or 1, 8)
   options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=threads)

@@ -27,7 +27,7 @@ class SurfacePsnr(NamedTuple):
   ycbcr: float
 
 
-def iou(predicted, true):
+def iou(predicted: Any, true: Any) -> Any:
   """Intersection over union of occupancies; 1 where both are empty. Takes numpy and jax arrays.
 
   Args:
@@ -36,6 +36,9 @@ def iou(predicted, true):
 
   Returns:
     [...].
+
+  Raises:
+    ValueError: the shapes differ.
   """
   if predicted.shape != true.shape:
     raise ValueError(f'predicted {predicted.shape} and true {true.shape} differ')

@@ -90,6 +90,9 @@ def fill(image: jax.Array, foreground: jax.Array) -> jax.Array:
   Args:
     image: [B, H, W, C].
     foreground: [B, H, W] bool.
+
+  Raises:
+    ValueError: the shapes do not fit.
   """
   if foreground.shape != image.shape[:3]:
     raise ValueError(f'foreground {foreground.shape} does not fit images {image.shape}')

@@ -153,7 +153,7 @@ def color_heads(
   return ColorVolumes(regressed, flow, 1 - weight), statistics
 
 
-def by_capacity(function: Callable, near: jax.Array, *arrays) -> tuple[jax.Array, Any]:
+def by_capacity(function: Callable, near: jax.Array, *arrays: Any) -> tuple[jax.Array, Any]:
   """`function(capacity, *arrays)` with the first capacity that is enough for the near cells.
 
   Args:

@@ -92,6 +92,14 @@ def make_surface_step(
   """`make_step` for the colour network, with its heads computed at surface voxels alone.
 
   Batch statistics differ from those of `make_step`, see cvn.surface.
+
+  Args:
+    network: its fields choose mixed precision and the layers' implementation.
+    recipe: loss, learning rate and penalty.
+    total_samples: of the whole training, for schedules that end with it.
+
+  Returns:
+    step(state, batch) -> (state, metrics), as of `make_step`.
   """
   trunk = Trunk(network.image_size, network.grid_size, network.mixed, network.implementation)
 

@@ -49,7 +49,7 @@ def run(f: flags.FlagValues) -> int:
   if not (f.shape or f.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, f.split, f.category, f.source)
+  rows = data.select_rows(dataset, f.split, categories=f.category, sources=f.source)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
   shape = scoring.load(f.shape, readouts.SHAPE_KINDS, dataset) if f.shape else None
@@ -135,7 +135,7 @@ def find_alpha(
 
 
 def _validation_rows(f, dataset, name):
-  rows = data.select_rows(dataset, 'val', f.category, f.source)
+  rows = data.select_rows(dataset, 'val', categories=f.category, sources=f.source)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split val: give a --{name}')
   return rows
@@ -150,7 +150,9 @@ def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
   models = dataset.manifest.models
   wanted = sorted({models[row].category for row in rows})
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
-  for row in tqdm(data.select_rows(dataset, 'train', wanted), desc='baselines', disable=None):
+  for row in tqdm(
+    data.select_rows(dataset, 'train', categories=wanted), desc='baselines', disable=None
+  ):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)

@@ -32,7 +32,6 @@ from cvn import (
   errors,
   grid,
   infer,
-  journal,
   train,
 )
 from cvn.dataset import Dataset, open_dataset
@@ -40,6 +39,7 @@ from cvn.errors import UserError
 from cvn.networks import NETWORKS
 from cvn.objectives import OBJECTIVES
 from cvn.recipe import Recipe
+from experiments.lib import journal
 from experiments.lib.training import (
   define_flags,
   is_finished,
@@ -62,7 +62,7 @@ def run(f: flags.FlagValues) -> int:
   read = data.read_shape if f.network == 'shape' else data.read_color
   dataset = open_dataset(f.data)
   check_sizes(dataset)
-  rows = data.select_rows(dataset, 'train', f.category, f.source)
+  rows = data.select_rows(dataset, 'train', categories=f.category, sources=f.source)
   batches = data.training_batches(
     read,
     dataset,
@@ -184,12 +184,12 @@ def check_sizes(dataset: Dataset) -> None:
 
 def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   """Pairs (row, view) [P, 2] of the split val, in whole batches where they fill one."""
-  rows = data.select_rows(dataset, 'val', f.category, f.validation_source)
+  rows = data.select_rows(dataset, 'val', categories=f.category, sources=f.validation_source)
   views = len(dataset.manifest.azimuths)
   count = min(f.validation_views, len(rows) * views)
   if count > f.batch_size:
     count -= count % f.batch_size
-  return data.evaluation_pairs(rows, views, count)
+  return data.evaluation_pairs(rows, views, limit=count)
 
 
 def make_placement(batch_size: int):

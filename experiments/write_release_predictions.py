@@ -60,7 +60,7 @@ def run(f: flags.FlagValues) -> None:
   if not workdirs:
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, f.split, f.category)
+  rows = data.select_rows(dataset, f.split, categories=f.category)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
   steps = {kind: checkpoint.latest_step(workdir) for kind, workdir in workdirs.items()}

@@ -62,15 +62,15 @@ def test_rows_are_finished_models_of_the_split(made):
 
 
 def test_rows_of_categories(made):
-  np.testing.assert_array_equal(data.select_rows(made, 'train', ['ball']), [0, 2, 6])
-  np.testing.assert_array_equal(data.select_rows(made, 'val', ['ball', 'egg']), [3, 8])
+  np.testing.assert_array_equal(data.select_rows(made, 'train', categories=['ball']), [0, 2, 6])
+  np.testing.assert_array_equal(data.select_rows(made, 'val', categories=['ball', 'egg']), [3, 8])
 
 
 def test_unknown_split_or_category(made):
   with pytest.raises(UserError, match="'dev' is no split; there are train, val, test"):
     data.select_rows(made, 'dev')
   with pytest.raises(UserError, match="no category 'cube'; it has ball, egg"):
-    data.select_rows(made, 'train', ['cube'])
+    data.select_rows(made, 'train', categories=['cube'])
 
 
 def test_slots_are_the_most_voxels_rounded_up(made):
@@ -276,11 +276,11 @@ def test_evaluation_pairs():
   np.testing.assert_array_equal(
     data.evaluation_pairs([4, 7], 3), [[4, 0], [4, 1], [4, 2], [7, 0], [7, 1], [7, 2]]
   )
-  some = data.evaluation_pairs(np.arange(20), 12, 20)
+  some = data.evaluation_pairs(np.arange(20), 12, limit=20)
   assert len(some) == 20
   assert len(np.unique(some[:, 0])) == 20  # every model once
   assert len(np.unique(some[:, 1])) == 12  # from all sides
-  assert data.evaluation_pairs([4, 7], 3, 99).shape == (6, 2)
+  assert data.evaluation_pairs([4, 7], 3, limit=99).shape == (6, 2)
   assert data.evaluation_pairs([], 12).shape == (0, 2)
 
 

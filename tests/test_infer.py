@@ -245,7 +245,7 @@ def test_carved_shapes_are_those_of_carving():
   views, network = make_views(), make_network('joint')
   plain = reconstruct(views, shape=network, flip=True).probability
   found = reconstruct(views, shape=network, flip=True, carve=True, azimuths=[0, 90])
-  expected = carving.carve(plain, views[..., 3] > 0.5, (0, 90))
+  expected = carving.carve(plain, views[..., 3] > 0.5, azimuths=(0, 90))
   np.testing.assert_allclose(found.probability, expected, atol=1e-6)
   np.testing.assert_array_equal(found.occupancy, found.probability >= 0.8)
   assert (found.probability == 0).any()

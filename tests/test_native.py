@@ -220,7 +220,7 @@ def test_a_source_that_does_not_compile_leaves_nothing(tmp_path):
   source = tmp_path / 'kernels.cc'
   source.write_text('this is no C++')
   with pytest.raises(subprocess.CalledProcessError):
-    native.build(tmp_path / 'cache', source)
+    native.build(folder=tmp_path / 'cache', source=source)
   assert os.listdir(tmp_path / 'cache') == ['build.lock']
 
 

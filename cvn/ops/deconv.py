@@ -124,7 +124,7 @@ def _run(name, x, scale, shift, kernel, activation, dtype, implementation):
       f'{name} takes x [..., X, Y, Z, in], scale and shift [in] and a kernel [3, 3, 3, in, out]:'
       f' {", ".join(map(str, shapes))}'
     )
-  x = dispatch.as_float(f'{name}: x', x, dispatch.VOLUMES)
+  x = dispatch.as_float(f'{name}: x', x, allowed=dispatch.VOLUMES)
   dtype = jnp.dtype(dtype or x.dtype)
   if dtype not in dispatch.VOLUMES:
     raise TypeError(f'{name}: the result can be float32 or bfloat16: {dtype}')

@@ -88,7 +88,13 @@ def choose(
 
 
 def product(on_cpu: Callable, elsewhere: Callable, *arrays: Any) -> jax.Array:
-  """Calls one of two plain programs of a product: matrix products on a CPU, or a convolution."""
+  """Calls one of two plain programs of a product.
+
+  Args:
+    on_cpu: (*arrays), as matrix products.
+    elsewhere: (*arrays), as a convolution.
+    *arrays: arguments of both.
+  """
   if _convolutions.get():
     return elsewhere(*arrays)
   return lax.platform_dependent(*arrays, cpu=on_cpu, default=elsewhere)
@@ -107,7 +113,7 @@ def convolutions_everywhere() -> Iterator[None]:
     _convolutions.reset(token)
 
 
-def as_float(name: str, x: jax.Array, allowed: Sequence[Any] = VOLUMES[:1]) -> jax.Array:
+def as_float(name: str, x: jax.Array, *, allowed: Sequence[Any] = VOLUMES[:1]) -> jax.Array:
   """x if its type is one of those allowed, else as float32; refuses what is no real number.
 
   Gradients of what was cast have its own type.

@@ -122,9 +122,9 @@ def load(path: pathlib.Path, *, suffix: str | None = None) -> Library:
 
 
 def build(
+  *,
   folder: pathlib.Path | None = None,
   source: pathlib.Path = SOURCE,
-  *,
   target: str = compiling.NATIVE,
   options: tuple[str, ...] = ('-O3',),
 ) -> pathlib.Path:
@@ -215,7 +215,7 @@ def _compiled() -> pathlib.Path:
     )
     folder = tempfile.mkdtemp(prefix='cvn-')
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return build(pathlib.Path(folder), target=target)
+    return build(folder=pathlib.Path(folder), target=target)
 
 
 def _tell_failure(origin, e):

@@ -85,7 +85,16 @@ def coefficients(
 def activated(
   x: jax.Array, scale: jax.Array, shift: jax.Array, activation: Activation
 ) -> jax.Array:
-  """activation(scale x + shift), made in float32, of the type of x; channels last."""
+  """activation(scale x + shift), computed in float32.
+
+  Args:
+    x: [..., C].
+    scale, shift: [C].
+    activation: the function.
+
+  Returns:
+    [..., C], of the type of x.
+  """
   z = x.astype(jnp.float32) * _spread(scale, x) + _spread(shift, x)
   return activation.value(z).astype(x.dtype)
 
@@ -160,7 +169,7 @@ def activate(
       f' {np.shape(shift)}'
     )
   arrays = dispatch.alike(
-    dispatch.as_float('activate: x', x, dispatch.VOLUMES).reshape(-1, *shape[-4:]),
+    dispatch.as_float('activate: x', x, allowed=dispatch.VOLUMES).reshape(-1, *shape[-4:]),
     dispatch.as_float('activate: scale', scale),
     dispatch.as_float('activate: shift', shift),
   )

@@ -67,7 +67,7 @@ def make_options(f: flags.FlagValues, dataset: Dataset) -> dict[str, Any]:
   `runs` tells of each network the configuration and the step of its checkpoint. The digest is of
   the models of all splits: thresholds are chosen on val, baselines are made of train.
   """
-  rows = [row for s in SPLITS for row in data.select_rows(dataset, s, f.category)]
+  rows = [row for s in SPLITS for row in data.select_rows(dataset, s, categories=f.category)]
   names = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
   return {
     'data': dataset.root,

@@ -80,7 +80,7 @@ def run(f: flags.FlagValues) -> None:
   plots.plot_complexity(
     f'{stem}_complexity.png', title, study.analysis.by_complexity, study.tested, colors.complexity
   )
-  rows = data.select_rows(dataset, 'test', [category], plan.sources)
+  rows = data.select_rows(dataset, 'test', categories=[category], sources=plan.sources)
   rng = np.random.default_rng(f.figure_seed)
   rows = rng.permutation(rows)[: f.people]
   views = rng.integers(len(dataset.manifest.azimuths), size=len(rows))
@@ -117,7 +117,7 @@ def read_colors(
   Raises:
     UserError: there is none, or no colour has t1 pixels.
   """
-  rows = np.concatenate([data.select_rows(dataset, s, [category]) for s in SPLITS])
+  rows = np.concatenate([data.select_rows(dataset, s, categories=[category]) for s in SPLITS])
   if len(rows) == 0:
     raise UserError(f'{dataset.root} has no finished {category} (make some: datagen.generate)')
   palettes = [

@@ -89,7 +89,7 @@ def group_by_complexity(complexities: np.ndarray, iou: np.ndarray) -> list[Group
       int(complexities[group == g].max()),
       int(np.sum(group == g)),
       int(np.sum((group == g).any(1))),
-      intervals.mean(iou, group == g),
+      intervals.mean(iou, chosen=group == g),
     )
     for g in range(group.max() + 1)
   ]

@@ -100,7 +100,7 @@ def to_json(s: Study) -> dict[str, Any]:
 
 
 def _mean(values):
-  return intervals.mean(values, ~np.isnan(values))
+  return intervals.mean(values, chosen=~np.isnan(values))
 
 
 def _range(g: Group) -> str:
