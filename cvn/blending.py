@@ -32,6 +32,9 @@ def blend(sampled: jax.Array, regressed: jax.Array, weight: jax.Array) -> jax.Ar
 def recalculate_weight(weight: jax.Array, *, alpha: float = ALPHA) -> jax.Array:
   """The test-time weight: w / alpha where w <= alpha, else 1 (section 3.5).
 
+  >>> recalculate_weight(jnp.array([0.1, 0.2, 0.9]), alpha=0.2)
+  Array([0.5, 1. , 1. ], dtype=float32)
+
   Args:
     weight: [...] as estimated, the confidence of the sampled colour.
     alpha: in (0, 1]; 1 leaves the weight as it is, smaller ones favour the sampled colour.

@@ -34,7 +34,7 @@ def carve(
 ) -> jax.Array:
   """Occupancy [B, X, Y, Z] in [0, 1] that agrees with the silhouettes.
 
-  Seen from an azimuth, a voxel that projects off the foreground has 0, and any other its probability
+  Seen from an azimuth, a voxel that projects off the foreground has 0, any other its probability
   divided by the largest one that projects to its pixel or the pixels around it, or by 0.5 if that
   is more. The result is the mean over the azimuths, weighted by `azimuth_weights`, or 0.9 of the
   likeliest azimuth's value if that is more.

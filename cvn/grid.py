@@ -42,7 +42,11 @@ def to_voxels(index: Any, color: Any, *, size: int = GRID_SIZE) -> ColoredVoxels
 
 
 def index_to_world(index: Any, *, size: int = GRID_SIZE) -> Any:
-  """Centres of voxels: [..., 3] integer indices -> [..., 3] world coordinates in [-0.5, 0.5]."""
+  """Centres of voxels: [..., 3] integer indices -> [..., 3] world coordinates in [-0.5, 0.5].
+
+  >>> index_to_world(np.array([0, 32, 63]))
+  array([-0.4921875,  0.0078125,  0.4921875])
+  """
   return (index + 0.5) / size - 0.5
 
 

@@ -30,6 +30,10 @@ class SurfacePsnr(NamedTuple):
 def iou(predicted: Any, true: Any) -> Any:
   """Intersection over union of occupancies; 1 where both are empty. Takes numpy and jax arrays.
 
+  >>> half = np.arange(8).reshape(2, 2, 2) < 4
+  >>> float(iou(half, np.ones((2, 2, 2), bool)))
+  0.5
+
   Args:
     predicted: [..., X, Y, Z] bool.
     true: [..., X, Y, Z] bool.

@@ -37,6 +37,10 @@ def bilinear(image: jax.Array, flow: jax.Array) -> jax.Array:
 def nearest(image: jax.Array, flow: jax.Array) -> jax.Array:
   """The pixel that holds the coordinate, floor(flow * size): no gradient reaches the flow.
 
+  >>> image = jnp.array([[[[0.25], [0.75]]]])  # one row of two pixels
+  >>> nearest(image, jnp.array([[0.6, 0.5]]))
+  Array([[0.75]], dtype=float32)
+
   Args:
     image: [B, H, W, C].
     flow: [B, ..., 2].

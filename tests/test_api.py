@@ -1,6 +1,7 @@
 """The conventions of cvn's public functions, checked on all of them."""
 
 import ast
+import doctest
 import importlib
 import inspect
 import pkgutil
@@ -90,3 +91,9 @@ def test_modules_are_imported_on_first_use():
   subprocess.run([sys.executable, '-c', code], check=True)
   with pytest.raises(AttributeError, match="module 'cvn' has no attribute 'nothing'"):
     cvn.nothing  # noqa: B018
+
+
+def test_examples_in_docstrings_are_true():
+  results = [doctest.testmod(module) for module in MODULES]
+  assert sum(r.failed for r in results) == 0
+  assert sum(r.attempted for r in results) >= 10
