@@ -144,7 +144,8 @@ def reconstruct_alphas(
   if threshold is None:
     threshold = THRESHOLDS.get(shape_kind or color_kind, metrics.OCCUPIED)
 
-  passes = {id(n): _predict(n, batch, flip) for n in (shape, color) if n is not None}
+  networks = {id(n): n for n in (shape, color) if n is not None}
+  passes = {key: _predict(n, batch, flip) for key, n in networks.items()}
   probability = occupancy = None
   if shape is not None:
     probability = _mean([v.probability for v in passes[id(shape)]])

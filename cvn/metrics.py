@@ -49,7 +49,8 @@ def iou(predicted: Any, true: Any) -> Any:
   volume = (-3, -2, -1)
   intersection = (predicted & true).sum(volume)
   union = (predicted | true).sum(volume)
-  return (intersection + (union == 0)) / (union + (union == 0))
+  both_empty = (union == 0).astype(union.dtype)
+  return (intersection + both_empty) / (union + both_empty)
 
 
 def iou_at(score: np.ndarray, true: np.ndarray, thresholds: Sequence[float]) -> np.ndarray:

@@ -174,7 +174,8 @@ def _compile_step(loss, recipe, total_samples):
     gradient, (metrics, batch_stats) = jax.grad(loss, has_aux=True)(
       state.params, state.batch_stats, batch
     )
-    updates, opt_state = optimizer.update(gradient, state.opt_state)
+    with jax.numpy_dtype_promotion('standard'):  # which optax counts on, whatever the caller has
+      updates, opt_state = optimizer.update(gradient, state.opt_state)
     params = optax.apply_updates(state.params, updates)
     decay = norm_decay((state.step * size).astype(jnp.float32), size)
     running = jax.tree.map(
