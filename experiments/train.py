@@ -52,13 +52,13 @@ def run(s: Settings) -> int:
   read = data.read_shape if s.network == 'shape' else data.read_color
   dataset = open_dataset(s.data)
   check_sizes(dataset)
-  rows = data.select_rows(dataset, 'train', s.category, s.source)
+  rows = data.select_rows(dataset, 'train', categories=s.category, sources=s.source)
   options = {'seed': s.seed, 'mirror': recipe.mirror, 'recolor': recipe.recolor}
   batches = data.training_batches(read, dataset, rows, batch_size=s.batch_size, **options)
   s = resolve_dtype(s)
   network = NETWORKS[s.network](dataset.manifest.image_size, dataset.manifest.grid_size)
   step = make_step(s, network, recipe, s.epochs * len(batches) * s.batch_size)
-  views = data.select_rows(dataset, 'val', s.category, s.validation_source)
+  views = data.select_rows(dataset, 'val', categories=s.category, sources=s.validation_source)
   pairs = choose_views(dataset, views, maximum=s.validation_views, batch_size=s.batch_size)
   checkpoint.start(s.workdir, make_config(s, recipe, dataset, rows))
   if is_finished(s.workdir, checkpoint.latest_step(s.workdir) or 0, len(batches), s.epochs):
@@ -139,7 +139,7 @@ def choose_views(dataset: Dataset, rows, *, maximum: int, batch_size: int) -> np
   count = min(maximum, len(rows) * views)
   if count > batch_size:
     count -= count % batch_size
-  return data.evaluation_pairs(rows, views, count)
+  return data.evaluation_pairs(rows, views, limit=count)
 
 
 if __name__ == '__main__':

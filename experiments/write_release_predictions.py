@@ -82,7 +82,7 @@ def write(
   if not workdirs:
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(data_url)
-  rows = data.select_rows(dataset, split, category)
+  rows = data.select_rows(dataset, split, categories=category)
   if len(rows) == 0:
     raise UserError(f'{data_url} has no finished model in the split {split}')
   steps = {kind: checkpoint.latest_step(workdir) for kind, workdir in workdirs.items()}

@@ -12,8 +12,9 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import baselines, checkpoint, dataset, infer, metrics
+from cvn import checkpoint, dataset, infer, metrics
 from cvn.errors import UserError
+from cvn.evaluation import baselines
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import evaluate as program

@@ -13,8 +13,9 @@ import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from tqdm import tqdm
 
-from cvn import checkpoint, data, journal
+from cvn import checkpoint, data
 from cvn.errors import UserError
+from experiments.lib import journal
 
 
 class Intervals(NamedTuple):

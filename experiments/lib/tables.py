@@ -7,7 +7,7 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import markdown, protocol, results
 from experiments.lib.evaluation import ALPHAS
 from experiments.lib.markdown import NONE, detail, escape

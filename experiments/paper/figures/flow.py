@@ -53,7 +53,9 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   """
   dataset = open_dataset(plan.data)
   size = dataset.manifest.grid_size
-  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
+  rows = data.select_rows(
+    dataset, 'test', categories=protocol.categories(plan), sources=plan.sources
+  )
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   view = int(np.argmin([abs(a - VIEW) for a in dataset.manifest.azimuths]))

@@ -74,7 +74,9 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
     UserError: there is no finished test model.
   """
   dataset = open_dataset(plan.data)
-  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
+  rows = data.select_rows(
+    dataset, 'test', categories=protocol.categories(plan), sources=plan.sources
+  )
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   categories = [dataset.manifest.models[row].category for row in rows]
