@@ -8,7 +8,7 @@ are the colour network without its other heads, joint is the unified network, r2
 
 The same command continues exactly where the last one stopped; with more --epochs it goes further.
 Ctrl-C or SIGTERM saves first. WORKDIR holds config.json, checkpoints, log.jsonl and files for
-TensorBoard (see cvn.checkpoint and cvn.journal).
+TensorBoard (see cvn.checkpoint and experiments.lib.journal).
 """
 
 import contextlib

@@ -72,7 +72,7 @@ def run(plan: Plan, color_options: Mapping[str, int], *, people: int, figure_see
 
   Args:
     plan: how networks are trained, on one category at most.
-    color_options: t1, clusters and t2 of cvn.complexity.
+    color_options: t1, clusters and t2 of cvn.evaluation.complexity.
     people: test models in the picture of results.
     figure_seed: of the choice of these models and views.
   """
