@@ -45,7 +45,7 @@ MEASURES = {  # title, form and baseline of each measure
 
 
 class Settings(NamedTuple):
-  """What to demonstrate; see the flags of the same names."""
+  """A demonstration; see the flags of the same names."""
 
   output: str
   category: str
@@ -214,7 +214,7 @@ class Curve(NamedTuple):
 
   title: str
   training: Sequence[tuple[float, float]]  # (epoch, value)
-  validation: Sequence[tuple[float, float]]  # likewise
+  validation: Sequence[tuple[float, float]]  # (epoch, value)
 
 
 def read_curves(network: str, path: str) -> list[Curve]:
@@ -283,7 +283,7 @@ def say_verdict(report: Mapping[str, Any], better: Mapping[str, bool]) -> str:
 
 
 def about(dataset: Dataset, trained: Iterable[Run]) -> str:
-  """What a reader must know about the numbers."""
+  """The origin and the limits of the numbers."""
   train, test = (len(data.select_rows(dataset, split)) for split in ('train', 'test'))
   names = sorted({m.category for m in dataset.manifest.models})
   epochs = ' and '.join(f'{runs.epochs_of(run):.4g}' for run in trained)

@@ -105,7 +105,7 @@ def write(
 
 
 def write_model(dataset: Dataset, row: int, network: Network, output: str, *, alpha: float) -> bool:
-  """Writes what a network says of a model's views, unless all of it is there.
+  """Writes a network's predictions for a model's views, unless all files exist.
 
   Returns:
     Whether it was written.

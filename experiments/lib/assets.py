@@ -1,4 +1,4 @@
-"""What pages are made of: templates, style sheets and scripts, which are files, and pictures."""
+"""The parts of pages: templates, style sheets and scripts, which are files, and pictures."""
 
 import io
 import re
@@ -14,15 +14,15 @@ def read(package: str, name: str) -> str:
 
 
 def fill(package: str, name: str, **parts: str) -> str:
-  """A page with its parts in the places {name} that it has for them.
+  """A page with its places {name} filled.
 
   Args:
-    package: that has the page.
-    name: of its file.
-    **parts: what is put in; as it is, so that texts must have been escaped.
+    package: with the page.
+    name: of the file.
+    **parts: the contents of the places, already escaped.
 
   Raises:
-    ValueError: the page has no such place, or has a place for another part.
+    ValueError: the places of the page are others.
   """
   pieces = re.split(r'\{([a-z]+)\}', read(package, name))
   if {*pieces[1::2]} != {*parts}:
