@@ -12,10 +12,10 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from cvn import camera, grid
+from cvn.data import GREY
 from cvn.grid import ColoredVoxels
 
-GREY = 245 / 255  # the background of the authors' data
-CEILING = 58.9  # dB: the rounding of 8-bit colours
+CEILING = 58.9  # dB: what rounding to 8 bits allows
 
 
 class Likeness(NamedTuple):
