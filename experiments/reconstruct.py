@@ -17,21 +17,10 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import (
-  blending,
-  camera,
-  checkpoint,
-  environment,
-  errors,
-  export,
-  figures,
-  methods,
-  metrics,
-  photo,
-  reconstruct,
-)
+from cvn import blending, environment, errors, export, figures, infer, metrics, photo
 from cvn.errors import UserError
 from cvn.files import atomic_write
+from cvn.infer import Network
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -84,8 +73,7 @@ def run(f: flags.FlagValues) -> int:
   for path in paths:
     if os.path.realpath(path) in taken:
       raise UserError(f'the results would overwrite {path}: give another folder as --output')
-  _, shape = checkpoint.load_network(f.shape, 'shape')
-  _, color = checkpoint.load_network(f.color, 'color')
+  shape, color = infer.load(f.shape, 'shape'), infer.load(f.color, 'color')
   failures = 0
   for path in tqdm(paths, unit='picture', disable=None):
     start = time.perf_counter()
@@ -127,36 +115,29 @@ def output_names(paths: Sequence[str]) -> dict[str, str]:
 def reconstruct_file(
   path: str,
   stem: str,
-  shape,
-  color,
+  shape: Network,
+  color: Network,
   *,
   alpha: float,
   threshold: float,
-  flip: bool = False,
-  carve: bool = False,
+  flip: bool,
+  carve: bool,
 ) -> int:
   """One picture -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
   view = photo.load_view(path)
-  views = view[None].astype(np.float32) / 255
-  batch = reconstruct.reconstruct(shape, color, views, alpha=alpha)
-  if flip or carve:
-    azimuths = camera.AZIMUTHS if carve else ()
-    batch = batch._replace(
-      probability=methods.score('shape', shape, views, flip=flip, carve=azimuths),
-      blended=methods.colors('color', color, views, alpha=alpha, flip=flip),
-    )
-  one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-  voxels = reconstruct.to_voxels(one, threshold)
+  options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'carve': carve}
+  found = jax.device_get(infer.reconstruct(view, shape=shape, color=color, **options))
+  voxels = infer.to_voxels(found)
   count = int(np.sum(voxels.occupancy))
   if count == 0:
     raise UserError(
       f'no voxel reaches --threshold={threshold}, the highest probability is'
-      f' {one.probability.max():.3g}: lower the threshold, or train the shape network longer'
+      f' {found.probability.max():.3g}: lower the threshold, or train the shape network longer'
     )
   export.write_glb(f'{stem}.glb', voxels)
   export.write_ply(f'{stem}.ply', voxels)
   with atomic_write(f'{stem}.png') as temporary:
-    Image.fromarray(figures.reconstruction_panel(view, one, voxels)).save(temporary)
+    Image.fromarray(figures.reconstruction_panel(view, found)).save(temporary)
   return count
 
 
