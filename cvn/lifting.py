@@ -31,9 +31,7 @@ class Rays(NamedTuple):
 
 
 @functools.lru_cache
-def make_rays(
-  azimuths: Sequence[float], *, grid_size: int, image_size: int, depths: int
-) -> Rays:
+def make_rays(azimuths: Sequence[float], *, grid_size: int, image_size: int, depths: int) -> Rays:
   """The constants of a lifting.
 
   Args:
@@ -69,9 +67,7 @@ def make_rays(
   )
 
 
-def lift(
-  frustum: jax.Array, azimuths: jax.Array, shares: jax.Array, rays: Rays
-) -> jax.Array:
+def lift(frustum: jax.Array, azimuths: jax.Array, shares: jax.Array, rays: Rays) -> jax.Array:
   """A frustum's features at the voxels, as a mean over azimuths that the view may be from.
 
   Args:
@@ -99,11 +95,7 @@ def lift(
   cells = jnp.asarray(rays.cells)[azimuths]  # [B, K, X * Z, 4]
 
   def one(columns, cells, weights):
-    return sum(
-      columns[cells[k, :, n]] * weights[k, :, n, None]
-      for k in range(cells.shape[0])
-      for n in range(4)
-    )
+    return jnp.einsum('knjc,knj->nc', columns[cells], weights)
 
   volume = jax.vmap(one)(columns, cells, weights)  # [B, X * Z, Y * C]
   return volume.reshape(b, y, y, y, c).swapaxes(2, 3)

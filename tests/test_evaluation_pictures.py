@@ -20,7 +20,9 @@ def make(size=32):
 def test_silhouettes_are_those_of_the_other_renderer(azimuth):
   voxels = make()
   drawn = pictures.draw(voxels, azimuth)
-  lit = figures.draw_voxels(voxels._replace(color=np.zeros_like(voxels.color)), azimuth, elevation=0)
+  lit = figures.draw_voxels(
+    voxels._replace(color=np.zeros_like(voxels.color)), azimuth, elevation=0
+  )
   ours, theirs = (drawn != pictures.GREY).any(-1), lit.mean(-1) < 128
   assert (ours & theirs).sum() / (ours | theirs).sum() > 0.95
 

@@ -23,7 +23,9 @@ def test_f_scores_against_counting_pairs():
   tolerances = (0.01, 1 / 16, 0.1, 0.2)
   gap = np.linalg.norm(np.argwhere(predicted)[:, None] - np.argwhere(true)[None], axis=-1) / 16
   for tolerance, got in zip(
-    tolerances, surfaces.f_scores(surfaces.measure(predicted, true), tolerances), strict=True
+    tolerances,
+    surfaces.f_scores(surfaces.measure(predicted, true), tolerances=tolerances),
+    strict=True,
   ):
     close = gap <= tolerance + 1e-9
     precision, recall = close.any(1).mean(), close.any(0).mean()
@@ -35,7 +37,7 @@ def test_below_a_voxel_the_f_score_is_that_of_the_voxels():
   predicted, true = draw(0, 0.3), draw(1, 0.3)
   common = (predicted & true).sum()
   expected = 2 * common / (predicted.sum() + true.sum())
-  found = surfaces.f_scores(surfaces.measure(predicted, true), (1 / 200, 1 / 100))
+  found = surfaces.f_scores(surfaces.measure(predicted, true), tolerances=(1 / 200, 1 / 100))
   np.testing.assert_allclose(found, expected)
 
 

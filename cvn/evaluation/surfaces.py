@@ -37,7 +37,7 @@ def measure(predicted: Any, true: Any) -> Distances:
   return Distances(_nearest(true)[predicted], _nearest(predicted)[true])
 
 
-def f_scores(distances: Distances, tolerances: Sequence[float] = TOLERANCES) -> np.ndarray:
+def f_scores(distances: Distances, *, tolerances: Sequence[float] = TOLERANCES) -> np.ndarray:
   """The harmonic mean of precision and recall at each tolerance, in [0, 1].
 
   Precision is the share of predicted points within the tolerance of a true one, recall the share of
@@ -55,9 +55,7 @@ def f_scores(distances: Distances, tolerances: Sequence[float] = TOLERANCES) -> 
     same = len(distances.of_predicted) == len(distances.of_true)
     return np.full(len(tolerances), float(same))
   # Distances between voxels are square roots of whole numbers times a voxel's side.
-  precision, recall = (
-    np.array([np.mean(d <= t + 1e-9) for t in tolerances]) for d in distances
-  )
+  precision, recall = (np.array([np.mean(d <= t + 1e-9) for t in tolerances]) for d in distances)
   return 2 * precision * recall / np.maximum(precision + recall, 1e-12)
 
 
