@@ -25,7 +25,7 @@ SHARPNESS = 30.0
 # azimuths disagree, would be lost in the mean.
 LIKELIEST = 0.9
 # Probabilities are raised until this many occupied voxels can be expected along a ray. Occupancy is
-# the surface, which a ray meets in front and behind: where an unsure network spreads its probability
+# the surface, which a ray meets in front and behind: where an unsure network spreads probability
 # over the inside, enough is expected already, and raising it would fill the inside.
 EXPECTED = 2.0
 MOST = 2.0  # the largest factor, so that nothing likely comes from nothing
@@ -37,11 +37,11 @@ def carve(
 ) -> jax.Array:
   """Occupancy [B, X, Y, Z] in [0, 1] that agrees with the silhouettes.
 
-  Seen from an azimuth, a voxel that projects off the foreground has 0. Any other voxel's probability
-  is raised until `EXPECTED` occupied voxels can be expected along its ray, the largest probability
-  there is 1, or the factor is `MOST`; the ray of a voxel is all that projects to its pixel and the
-  eight around it. The result is the mean over the azimuths, weighted by `azimuth_weights`, or 0.9
-  of the likeliest azimuth's value if that is more.
+  Seen from an azimuth, a voxel that projects off the foreground has 0. The probability of any other
+  voxel is raised until `EXPECTED` occupied voxels can be expected along its ray, the largest
+  probability there is 1, or the factor is `MOST`; the ray of a voxel is all that projects to its
+  pixel and the eight around it. The result is the mean over the azimuths, weighted by
+  `azimuth_weights`, or 0.9 of the likeliest azimuth's value if that is more.
 
   Args:
     probability: [B, X, Y, Z] of being occupied.
