@@ -50,11 +50,10 @@ def test_a_pixel_shows_the_first_voxel_along_its_ray():
 
 def test_the_same_shape_scores_best_and_nothing_worst():
   true = make()
-  same = pictures.compare(true, true, azimuths=(0, 90))
-  assert same == (pictures.CEILING, pytest.approx(1))
-  nothing = true._replace(occupancy=np.zeros_like(true.occupancy))
-  other = pictures.compare(nothing, true, azimuths=(0, 90))
-  drawn = [pictures.draw(true, a) for a in (0, 90)]
+  seen = pictures.draw_all(true, azimuths=(0, 90))
+  assert seen.images.shape == (2, 128, 128, 3)
+  assert pictures.compare(true, seen) == (pictures.CEILING, pytest.approx(1))
+  other = pictures.compare(true._replace(occupancy=np.zeros_like(true.occupancy)), seen)
   blank = np.full((128, 128, 3), pictures.GREY)
-  expected = np.mean([peak_signal_noise_ratio(d, blank, data_range=1) for d in drawn])
+  expected = np.mean([peak_signal_noise_ratio(i, blank, data_range=1) for i in seen.images])
   assert other.psnr == pytest.approx(expected) and other.ssim < 0.99

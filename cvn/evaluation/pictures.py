@@ -19,36 +19,52 @@ CEILING = 58.9  # dB: what rounding to 8 bits allows
 
 
 class Likeness(NamedTuple):
-  """Means over the azimuths."""
+  """Means over the pictures."""
 
   psnr: float  # dB
   ssim: float
 
 
-def compare(
-  predicted: ColoredVoxels,
-  true: ColoredVoxels,
+class Pictures(NamedTuple):
+  """A shape seen from all around."""
+
+  azimuths: tuple[float, ...]  # degrees
+  images: np.ndarray  # [A, H, W, 3] float in [0, 1]
+
+
+def draw_all(
+  voxels: ColoredVoxels,
   *,
   azimuths: Sequence[float] = camera.AZIMUTHS,
   image_size: int = camera.IMAGE_SIZE,
-) -> Likeness:
-  """The mean PSNR and SSIM of pictures of both shapes from all azimuths.
+) -> Pictures:
+  """Pictures of a coloured shape from all azimuths.
+
+  Args:
+    voxels: occupancy [X, X, X] bool, color [X, X, X, 3] in [0, 1].
+    azimuths: degrees.
+    image_size: in pixels.
+  """
+  images = [draw(voxels, a, image_size=image_size) for a in azimuths]
+  return Pictures(tuple(azimuths), np.stack(images))
+
+
+def compare(predicted: ColoredVoxels, true: Pictures) -> Likeness:
+  """The mean PSNR and SSIM of a shape's pictures.
 
   No picture counts for more than `CEILING`. SSIM has Gaussian windows (Wang et al. 2004).
 
   Args:
     predicted: occupancy [X, X, X] bool, color [X, X, X, 3] in [0, 1].
-    true: likewise.
-    azimuths: degrees.
-    image_size: in pixels.
+    true: of the true shape.
   """
+  options = {'gaussian_weights': True, 'sigma': 1.5, 'use_sample_covariance': False}
   psnrs, ssims = [], []
-  for azimuth in azimuths:
-    a, b = (draw(v, azimuth, image_size=image_size) for v in (predicted, true))
-    error = np.mean((a - b) ** 2)
+  for azimuth, image in zip(true.azimuths, true.images, strict=True):
+    drawn = draw(predicted, azimuth, image_size=len(image))
+    error = np.mean((drawn - image) ** 2)
     psnrs.append(CEILING if error == 0 else min(CEILING, -10 * np.log10(error)))
-    options = {'gaussian_weights': True, 'sigma': 1.5, 'use_sample_covariance': False}
-    ssims.append(structural_similarity(a, b, channel_axis=-1, data_range=1, **options))
+    ssims.append(structural_similarity(drawn, image, channel_axis=-1, data_range=1, **options))
   return Likeness(float(np.mean(psnrs)), float(np.mean(ssims)))
 
 

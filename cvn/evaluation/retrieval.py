@@ -5,8 +5,17 @@ the most similar view (Tatarchenko et al. 2019). The nearest training model to t
 any such look-up can reach; it knows the answer, so it is no method.
 """
 
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
 import numpy as np
 
+from cvn import readouts
+from cvn.infer import Network
+
+CODE = 'latent0'  # the encoder's layer whose result is the code of an image
 _ROWS = 256  # candidates at a time
 
 
@@ -34,6 +43,48 @@ def ious(queries: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     union = count[:, None] + some.sum(1) - intersection
     found[:, start : start + _ROWS] = np.where(union > 0, intersection / np.maximum(union, 1), 1)
   return found
+
+
+def surface_ious(true: np.ndarray, surfaces: Sequence[np.ndarray]) -> np.ndarray:
+  """The intersection over union of a shape with each of many surfaces.
+
+  Args:
+    true: [X, X, X] bool, with at least one occupied voxel.
+    surfaces: [S, 3] integer indices of each surface.
+
+  Returns:
+    [N] for N surfaces.
+  """
+  flat, count = true.ravel(), true.sum()
+  found = []
+  for s in surfaces:
+    common = flat[np.ravel_multi_index(np.asarray(s, np.int64).T, true.shape)].sum()
+    found.append(common / (count + len(s) - common))
+  return np.array(found)
+
+
+def codes(network: Network, views: Any) -> np.ndarray:
+  """The encoder's codes of views, [B, 512].
+
+  Args:
+    network: of any kind.
+    views: [B, H, W, 4 or 3], as in cvn.readouts.
+  """
+  return np.asarray(_codes(network.module, network.variables, views))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _codes(module, variables, views):
+  image, _, _ = readouts.prepare(views)
+  _, state = module.apply(
+    variables,
+    image,
+    train=False,
+    capture_intermediates=lambda layer, _: layer.name == CODE,
+    mutable='intermediates',
+  )
+  (code,) = jax.tree.leaves(state)
+  return code
 
 
 def cosines(queries: np.ndarray, candidates: np.ndarray) -> np.ndarray:
