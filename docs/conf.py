@@ -69,7 +69,14 @@ def _translate(app, what, name, obj, options, lines):
 
 def _escape(line):
   parts = _CODE.split(line)
-  parts[::2] = [re.sub(r'([*|\\]|_(?=\W|$))', r'\\\1', text) for text in parts[::2]]
+  for n in range(0, len(parts), 2):
+    text = re.sub(r'([*|\\]|_(?=\W|$))', r'\\\1', parts[n])
+    # Code must be separated from a word; a backslash and a space do that invisibly.
+    if n and re.match(r'[\w^]', text):
+      text = '\\ ' + text
+    if n + 1 < len(parts) and re.search(r'\w$', text):
+      text += '\\ '
+    parts[n] = text
   return ''.join(parts)
 
 

@@ -37,7 +37,7 @@ def commands(path):
   inline = re.findall(r'`(python -m [^`]+)`', re.sub(r'^```.*?^```$', '', text, flags=re.M | re.S))
   joined = '\n'.join([*blocks(path, 'sh'), *(' '.join(i.split()) for i in inline)])
   for line in joined.replace('\\\n', ' ').splitlines():
-    found = re.search(r'python -m ((?:datagen|experiments)[\w.]*)(.*)', line.split('  #')[0])
+    found = re.search(r'python -m ((?:datagen|experiments)(?:\.\w+)+)(.*)', line.split('  #')[0])
     if found:
       yield found[1], re.findall(r'(?<= --)(\w+)', found[2])
 
