@@ -139,7 +139,7 @@ def restore(workdir: str, template: Any) -> tuple[Any, dict[str, Any]] | None:
     template: a TrainState of the same structure, shapes and shardings as the result's.
 
   Raises:
-    UserError: the checkpoint is damaged.
+    UserError: the checkpoint is damaged, or of another version.
   """
   step = latest_step(workdir)
   if step is None:
@@ -149,9 +149,15 @@ def restore(workdir: str, template: Any) -> tuple[Any, dict[str, Any]] | None:
     return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding)
 
   def load(path):
-    progress = ocp.checkpointables_metadata(path).custom_metadata
-    loaded = {}
+    stored = ocp.checkpointables_metadata(path)
+    progress, loaded = stored.custom_metadata, {}
     for name, x in _to_checkpointables(template).items():
+      count = len(jax.tree.leaves(stored.metadata[name]))  # 0 if it is damaged
+      if count not in (0, len(jax.tree.leaves(x))):
+        raise UserError(
+          f'{path} was written by another version: its network can be used, but not trained further;'
+          ' name another --workdir'
+        )
       # One by one: when one of several fails, Orbax drops the others with a warning.
       loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
     return template._replace(**loaded), progress
@@ -207,6 +213,8 @@ def _load(workdir, step, load):
   try:
     with _quiet():
       return load(path)
+  except UserError:
+    raise
   except Exception as e:  # damage shows in as many ways as there are files
     raise UserError(
       f'the checkpoint {path} is damaged ({_reason(e)}): remove it to go back to the one before'

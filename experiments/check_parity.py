@@ -10,7 +10,8 @@ a batch normalisation has no effect, so its gradient vanishes and is compared ab
 `blended` is the share of entries that are off by more than 1e-3, for the authors' nearest sampler
 jumps where rounding moves a flow over a pixel's edge. Those jumps would move the colour network's
 gradient norms by up to 2 %, so its loss and gradients are those of volumes rounded as the authors'
-are (see experiments.golden.one_by_one_line); its outputs are compared as they are.
+are (see experiments.golden.one_by_one_line). Its outputs are compared as they are, and so are the
+Adam steps of both networks: those of cvn.train.make_step, which experiments.train takes.
 """
 
 import functools
