@@ -155,8 +155,8 @@ def restore(workdir: str, template: Any) -> tuple[Any, dict[str, Any]] | None:
       count = len(jax.tree.leaves(stored.metadata[name]))  # 0 if it is damaged
       if count not in (0, len(jax.tree.leaves(x))):
         raise UserError(
-          f'{path} was written by another version: its network can be used, but not trained further;'
-          ' name another --workdir'
+          f'{path} was written by another version: its network can be used, but not trained'
+          ' further; name another --workdir'
         )
       # One by one: when one of several fails, Orbax drops the others with a warning.
       loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
