@@ -1,14 +1,14 @@
-"""A training run's folder: what the network is, and where its training stands.
+"""A training run's folder: its configuration and its checkpoints.
 
-  WORKDIR/config.json         the network's kind, the recipe and all that a resumed run must share
+  WORKDIR/config.json         the kind of network, the recipe and all that a resumed run must share
   WORKDIR/checkpoints/<step>  Orbax checkpoints, the latest KEEP of them:
       variables               {'params', 'batch_stats'}: all that inference needs
       optimizer               {'opt_state', 'step'}
-      _CHECKPOINT_METADATA    among other things `progress`, the JSON of the run's own bookkeeping
+      _CHECKPOINT_METADATA    includes `progress`, JSON values that the run keeps beside the state
 
-A checkpoint appears under its number once it is whole; what an interrupted save leaves behind has
-another name, is never read, and goes with the next save. Saving is synchronous: the state is 80 MB,
-and the step that follows donates the buffers it would be read from.
+A checkpoint gets its number once it is complete. The remains of an interrupted save have another
+name, are never read, and are removed by the next save. Saving is synchronous: the state is 80 MB,
+and the next step donates the buffers that would be read.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-NOT_COMPARED = ('data',)  # where the data set lay; its digest is what identifies it
+NOT_COMPARED = ('data',)  # the place of the data set, which is identified by its digest
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
