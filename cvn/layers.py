@@ -3,8 +3,8 @@
 Every layer of the authors' program has this form, the last ones included (epsilon 1e-3, biased
 batch variance). In training the collection `batch_stats` that `apply` returns holds the statistics
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
-Volumes are handed on as pre-activations with their pending normalisation: the next operation applies
-it while it reads them (cvn/ops/deconv.py).
+Volumes are handed on as pre-activations with their pending normalisation, which the next operation
+applies while it reads them (cvn/ops/deconv.py).
 """
 
 from typing import Any, NamedTuple
