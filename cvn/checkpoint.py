@@ -27,7 +27,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-NOT_COMPARED = ('data',)  # where the data set lay; its digest is what identifies it
+NOT_COMPARED = ('data', 'categories')  # the data set's digest is what identifies it
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:

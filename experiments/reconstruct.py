@@ -1,15 +1,17 @@
-r"""Pictures -> coloured voxel meshes: a GLB, a PLY and a panel PNG for each.
+r"""Pictures -> coloured voxel meshes: a GLB, a PLY, a panel PNG and the object's mask for each.
 
-python -m experiments.reconstruct --image=FILE[,FILE...] --shape=WORKDIR --color=WORKDIR \
-  --output=DIR [--alpha=0.2] [--threshold=0.8] [--flip] [--carve]
+python -m experiments.reconstruct --image=FILE|FOLDER[,...] --shape=WORKDIR --color=WORKDIR \
+  --output=DIR [--mask=FILE[,...]] [--[no]framed] [--up=z] [--alpha=0.2] [--threshold=0.8] [--flip]
+  [--carve]
 
-A picture that fails is named on stderr and the others are still done; the exit status is then 1.
+NAME_mask.png shows which part of the picture was taken as the object; cvn/photo/masks.py says how
+it is found. Doubts are printed as warnings. A better mask is given with --mask. A picture that
+fails is named on stderr and the others are still done; the exit status is then 1.
 """
 
 import os
 import sys
 import time
-from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -32,14 +34,33 @@ from cvn import (
 )
 from cvn.errors import UserError
 from cvn.files import atomic_write
+from experiments.lib import photos
 
 
 def define_flags(f: flags.FlagValues) -> None:
   """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
   flags.DEFINE_multi_string(
-    'image', None, 'Pictures: names separated by commas; the flag may be repeated.', **own
+    'image',
+    None,
+    'Pictures or folders of pictures: names separated by commas; the flag may be repeated.',
+    **own,
   )
+  flags.DEFINE_multi_string(
+    'mask',
+    [],
+    'Masks, one a picture in the same order: pictures of the same size, white (or opaque) where the'
+    ' object is.',
+    **own,
+  )
+  flags.DEFINE_bool(
+    'framed',
+    None,
+    "Whether pictures are framed as a data set's views, so that nothing is cropped or scaled; by"
+    ' default, those that look so.',
+    **own,
+  )
+  flags.DEFINE_enum('up', 'y', ['y', 'z'], 'The axis that points up in PLY files.', **own)
   flags.DEFINE_string('shape', None, "The trained shape network's workdir.", **own)
   flags.DEFINE_string('color', None, "The trained colour network's workdir.", **own)
   flags.DEFINE_string('output', None, 'The folder the results go to.', **own)
@@ -76,12 +97,13 @@ def main(_) -> int:
 
 def run(f: flags.FlagValues) -> int:
   """Reconstructs as the flags say; returns the exit status."""
-  paths = split_names(f.image)
+  paths = photos.expand_folders(photos.split_names(f.image))
   if not paths:
     raise UserError('--image names no file')
-  stems = {p: os.path.join(f.output, name) for p, name in output_names(paths).items()}
-  taken = {os.path.realpath(f'{stem}.png') for stem in stems.values()}
-  for path in paths:
+  masks = photos.assign_masks(paths, photos.split_names(f.mask))
+  stems = {p: os.path.join(f.output, name) for p, name in photos.output_names(paths).items()}
+  taken = {os.path.realpath(f'{s}{end}.png') for s in stems.values() for end in ('', '_mask')}
+  for path in (*paths, *filter(None, masks.values())):
     if os.path.realpath(path) in taken:
       raise UserError(f'the results would overwrite {path}: give another folder as --output')
   _, shape = checkpoint.load_network(f.shape, 'shape')
@@ -90,42 +112,26 @@ def run(f: flags.FlagValues) -> int:
   for path in tqdm(paths, unit='picture', disable=None):
     start = time.perf_counter()
     try:
-      options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve')}
-      count = reconstruct_file(path, stems[path], shape, color, **options)
+      picture = photo.load_photo(path, mask=masks[path], framed=f.framed)
+      for warning in picture.warnings:
+        tqdm.write(f'warning: {warning}', sys.stderr)
+      photos.write_mask(f'{stems[path]}_mask.png', picture)
+      options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve', 'up')}
+      count = reconstruct_view(picture.view, stems[path], shape, color, **options)
     except UserError as e:
       failures += 1
       tqdm.write(f'error: {path}: {str(e).removeprefix(path).lstrip(": ")}', sys.stderr)
       continue
     seconds = time.perf_counter() - start
-    tqdm.write(f'{path} -> {stems[path]}.glb .ply .png  ({count} voxels, {seconds:.1f} s)')
+    how = f'object by {picture.source}, {count} voxels, {seconds:.1f} s'
+    tqdm.write(f'{path} -> {stems[path]}.glb .ply .png _mask.png  ({how})')
   if failures:
     tqdm.write(f'error: {failures} of {len(paths)} pictures failed', sys.stderr)
   return int(failures > 0)
 
 
-def split_names(values: Sequence[str]) -> list[str]:
-  """Names separated by commas, each once; a comma that is part of a file's name stays one."""
-  names = []
-  for value in values:
-    names += [value] if os.path.exists(value) else [v.strip() for v in value.split(',')]
-  return list(dict.fromkeys(n for n in names if n))
-
-
-def output_names(paths: Sequence[str]) -> dict[str, str]:
-  """A name for each picture's results: its own, with a number where another has it already."""
-  names = {}
-  for path in paths:
-    stem = os.path.splitext(os.path.basename(path))[0]
-    name, number = stem, 1
-    while name in names.values():
-      number += 1
-      name = f'{stem}_{number}'
-    names[path] = name
-  return names
-
-
-def reconstruct_file(
-  path: str,
+def reconstruct_view(
+  view: np.ndarray,
   stem: str,
   shape,
   color,
@@ -134,9 +140,9 @@ def reconstruct_file(
   threshold: float,
   flip: bool = False,
   carve: bool = False,
+  up: str = 'y',
 ) -> int:
-  """One picture -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
-  view = photo.load_view(path)
+  """One view -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
   views = view[None].astype(np.float32) / 255
   batch = reconstruct.reconstruct(shape, color, views, alpha=alpha)
   if flip or carve:
@@ -154,7 +160,7 @@ def reconstruct_file(
       f' {one.probability.max():.3g}: lower the threshold, or train the shape network longer'
     )
   export.write_glb(f'{stem}.glb', voxels)
-  export.write_ply(f'{stem}.ply', voxels)
+  export.write_ply(f'{stem}.ply', voxels, up=up)
   with atomic_write(f'{stem}.png') as temporary:
     Image.fromarray(figures.reconstruction_panel(view, one, voxels)).save(temporary)
   return count

@@ -189,7 +189,14 @@ def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
 
 def make_placement(batch_size: int):
   """Functions that put a batch in equal parts, and a state whole, on as many devices as can be."""
-  count = math.gcd(batch_size, jax.device_count())
+  there = jax.device_count()
+  count = math.gcd(batch_size, there)
+  if count < there:
+    print(
+      f'--batch_size={batch_size} does not divide over {there} devices: {count} of them are used;'
+      f' a multiple of {there} uses all',
+      file=sys.stderr,
+    )
   mesh = jax.make_mesh(
     (count,), ('batch',), axis_types=(AxisType.Auto,), devices=jax.devices()[:count]
   )

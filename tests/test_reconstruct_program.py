@@ -78,7 +78,7 @@ def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
   assert errors[2] == 'error: 2 of 4 pictures failed'
   assert f'{first} -> ' in stdout and f'{second} -> ' in stdout
   assert sorted(os.listdir(output)) == [
-    f'chair{n}.{suffix}' for n in ('', '_2') for suffix in ('glb', 'ply', 'png')
+    f'chair{n}{end}' for n in ('', '_2') for end in ('.glb', '.ply', '.png', '_mask.png')
   ]
   for name in ('chair', 'chair_2'):
     ply = trimesh.load(output / f'{name}.ply')
@@ -94,7 +94,7 @@ def test_mirrored_and_carved(tmp_path, workdirs, monkeypatch):
   image[30:130, 50:80], image[40:130, 80:110] = (200, 30, 40), (30, 150, 220)
   Image.fromarray(image).save(picture)
   made = []
-  monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels: made.append(voxels))
+  monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels, up: made.append(voxels))
   given = {'image': picture, 'output': tmp_path / 'out', 'threshold': 0.5, **workdirs}
   assert _run('--flip', '--carve', **given) == 0
   views = photo.load_view(picture)[None] / np.float32(255)

@@ -24,6 +24,7 @@ from cvn.photo import ground, matting
 OPAQUE = 250  # alpha from here on counts as opaque
 SOLID = 128  # and from here on as the object
 _FAINT = 32  # the least alpha of an object that is transparent all over
+_MARGIN = 0.3  # around an object that is searched again, of its longer side
 _LEAST_SIDE = 64  # smaller pictures are searched enlarged
 _WORKING_PIXELS = 640 * 640  # larger pictures are searched at this size
 
@@ -99,6 +100,8 @@ def _search(rgb, path, *, only_ground=False):
   if found is not None and not found.mask.any():
     raise UserError(f'{path} is all one colour: there is nothing to reconstruct')
   if found is not None and (found.sure or only_ground):
+    if small.size < rgb.size:
+      found = _closer(rgb, found)
     return _fitted(found.mask, rgb, 'ground', found.warnings)
   if only_ground:
     return None
@@ -122,6 +125,27 @@ def _search(rgb, path, *, only_ground=False):
     f'{path}: nothing tells the object from the background{why}: give a picture on a plain ground,'
     ' a cut-out (PNG with transparency) or --mask=FILE'
   )
+
+
+def _closer(rgb, found):
+  """The same from the object's surroundings alone, if these can be searched at a finer scale."""
+  height, width = rgb.shape[:2]
+  scale = np.array([height, width]) / found.mask.shape
+  rows, columns = ground.bounding_box(found.mask)
+  margin = _MARGIN * max(rows.stop - rows.start, columns.stop - columns.start) + 4
+  (top, bottom), (left, right) = (
+    (max(0, int(k * (s.start - margin))), min(n, int(k * (s.stop + margin)) + 1))
+    for k, s, n in zip(scale, (rows, columns), (height, width), strict=True)
+  )
+  if (bottom - top) * (right - left) > 0.25 * height * width:
+    return found
+  crop = rgb[top:bottom, left:right]
+  inner = ground.find_object(_resize(crop))
+  if inner is None or not inner.sure or not inner.mask.any():
+    return found
+  mask = np.zeros((height, width), bool)
+  mask[top:bottom, left:right] = _fitted(inner.mask, crop, '', ()).alpha > 0
+  return inner._replace(mask=mask)
 
 
 def _resize(rgb):

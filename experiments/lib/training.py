@@ -181,6 +181,7 @@ def make_config(
     'data_digest': digest(dataset, rows),
     'models': len(models),
     'counts': dict(counts),
+    'categories': sorted({m.category for m in models}),
     **{n: f[n].value for n in names},
     **describe_recipe(recipe),
   }
