@@ -27,11 +27,12 @@ FORMATS = (
 MAX_PIXELS = 100_000_000  # a decompression bomb otherwise
 
 # First bytes (and where they stand) of formats that users try, and what to do about each.
+_HEIC = 'convert it to JPEG or PNG' + ('' if pillow_heif else ", or pip install 'cvn[photo]'")
 _KNOWN = (
-  (b'ftyphe', 4, 'HEIC', "convert it to JPEG or PNG, or pip install 'cvn[photo]'"),
-  (b'ftypmif1', 4, 'HEIC', "convert it to JPEG or PNG, or pip install 'cvn[photo]'"),
-  (b'ftypmsf1', 4, 'HEIC', "convert it to JPEG or PNG, or pip install 'cvn[photo]'"),
-  (b'ftypavi', 4, 'AVIF', 'this Pillow cannot read it: convert it to JPEG or PNG'),
+  (b'ftyphe', 4, 'HEIC', _HEIC),
+  (b'ftypmif1', 4, 'HEIC', _HEIC),
+  (b'ftypmsf1', 4, 'HEIC', _HEIC),
+  (b'ftypavi', 4, 'AVIF', 'convert it to JPEG or PNG'),
   (b'ftypcrx', 4, "a camera's raw file", 'develop it to JPEG or PNG'),
   (b'\x00\x00\x00\x0cJXL ', 0, 'JPEG XL', 'convert it to JPEG or PNG'),
   (b'\xff\x0a', 0, 'JPEG XL', 'convert it to JPEG or PNG'),
@@ -42,6 +43,8 @@ _KNOWN = (
   (b'FUJIFILMCCD-RAW', 0, "a camera's raw file", 'develop it to JPEG or PNG'),
 )
 _TIFF = (b'II*\x00', b'MM\x00*', b'II+\x00', b'MM\x00+')
+_TIFF_COLORS = tuple(tifffile.PHOTOMETRIC[n] for n in ('MINISWHITE', 'MINISBLACK', 'RGB'))
+_ORIENTATION = 0x0112  # EXIF's and TIFF's tag
 _NEARLY_BLACK = 24  # of 255
 _HIGHLIGHT = 16  # floats above 1 and up to here are brighter than white; larger ones count to 255
 
@@ -68,10 +71,7 @@ def read_picture(path: str) -> Picture:
   try:
     with warnings.catch_warnings():
       warnings.simplefilter('ignore')  # Pillow's: on size (checked here) and on damaged metadata
-      try:
-        image = _open(path)
-      except Image.UnidentifiedImageError:
-        image = _open_deep_tiff(path, notes)
+      image = _open_deep_tiff(path, notes) or _open(path)
       image = _to_8_bits(image, notes)
       rgba = np.asarray(_to_srgb(image, notes))
   except FileNotFoundError as e:
@@ -129,29 +129,36 @@ def _open(path):
 
 
 def _open_deep_tiff(path, notes):
-  """A TIFF that Pillow does not know: several channels of 16 or 32 bits or of floats."""
+  """A TIFF that Pillow does not read, or reads wrongly; None if it is none."""
   with open(path, 'rb') as f:
-    start = f.read(4)
-  if start not in _TIFF:
-    raise Image.UnidentifiedImageError
+    if f.read(4) not in _TIFF:
+      return None
   with tifffile.TiffFile(path) as tiff:
     page = tiff.pages[0]
+    # Pillow has no floats in several channels, and mixes up deep channels stored one by one.
+    planar = page.planarconfig == tifffile.PLANARCONFIG.SEPARATE and page.samplesperpixel > 1
+    real = page.sampleformat == tifffile.SAMPLEFORMAT.IEEEFP
+    deep = page.samplesperpixel > 1 and page.bitspersample > (8 if planar else 16)
+    if not (deep or real) or page.photometric not in _TIFF_COLORS:
+      return None
     if page.imagewidth * page.imagelength > MAX_PIXELS:
       raise Image.DecompressionBombError
     values = page.asarray()
-    planar = page.planarconfig == tifffile.PLANARCONFIG.SEPARATE
-    white_is_zero = page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
-    if page.photometric not in (0, 1, 2):
-      raise UserError(f'{path} is a TIFF of the kind {page.photometric.name}: convert it to PNG')
-  if planar and values.ndim == 3:
-    values = np.moveaxis(values, 0, -1)
+    if planar:
+      values = np.moveaxis(values, 0, -1)
+    orientation = page.tags.get(_ORIENTATION)
+    profile = page.tags.get('InterColorProfile')
   values = _scale(values, notes)
-  if white_is_zero:
+  if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
     values = 255 - values
-  values = values.reshape(*values.shape[:2], -1)[..., :4]
-  if values.shape[-1] in (1, 3, 4):
-    return Image.fromarray(values.squeeze(-1) if values.shape[-1] == 1 else values)
-  return Image.fromarray(np.ascontiguousarray(values), 'LA')
+  values = np.ascontiguousarray(values.reshape(*values.shape[:2], -1)[..., :4])
+  image = Image.fromarray(values.squeeze(-1) if values.shape[-1] == 1 else values)
+  if orientation:
+    image.getexif()[_ORIENTATION] = orientation.value
+  image = ImageOps.exif_transpose(image)
+  if profile:
+    image.info['icc_profile'] = profile.value
+  return image
 
 
 def _to_8_bits(image, notes):
@@ -178,7 +185,8 @@ def _scale(values, notes):
       notes.append(f'has values up to {largest:.3g}, cut off at 1')
   else:
     # Sensors and scanners write 10 or 12 bits into 16. A 16-bit picture as dark as that is black.
-    white = next((float(w) for w in (255, 1023, 4095, 65535) if largest <= w), largest)
+    levels = (255, 1023, 4095, 65535, *(() if real else (2**32 - 1,)))
+    white = next((float(w) for w in levels if largest <= w), largest)
   return np.round(np.clip(values / white, 0, 1) * 255).astype(np.uint8)
 
 
