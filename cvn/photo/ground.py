@@ -22,9 +22,14 @@ from scipy import ndimage
 
 _PLAIN = 0.35  # share of the border that must be ground
 _SURE = 0.7  # from here on, nothing else can be the ground
-_NOISY = 20  # standard deviation of the noise: above it nothing is smooth
+_NOISY = 10  # standard deviation of the noise: above it nothing is smooth
+_CLEAN = (0.0, 2.0, 1.2, 0.35)  # radii of the band-pass filter, its limit, and that for a slope
+_GRAINY = (1.5, 4.0)  # radii where there is noise
 _HUE = 10  # largest deviation of a shade of the ground from the ground's colour, scaled
+_SHADOW, _BRIGHTER = 0.35, 1.06  # shades of the ground, as parts of its brightness
 _STRONG = 40  # a contrast around which codecs leave traces
+_LINE = 6  # half the width of the line where two grounds meet, in pixels
+_LEAK = 1  # half the width of the holes in an edge that the flood does not pass, in pixels
 _SPECK = 0.01  # parts smaller than this fraction of the largest one are noise
 _ALIKE = 0.25  # parts of at least this fraction of the largest one may be objects of their own
 
@@ -118,15 +123,15 @@ def _find(image):
   if share < _PLAIN:
     return None
   calm = ndimage.median_filter(image, (3, 3, 1)) if noise >= 0.5 else image
-  local = [_extend(calm, g) for g in grounds]
-  difference = _difference(calm, local)
+  local = _extend(calm, ground)
+  difference = _difference(calm, local, grounds)
   tolerance = max(2.0, 4 * noise)
   near, traces, limit = _limits(difference, ground)
   unlike = difference > np.maximum(tolerance, limit)
   label, count = ndimage.label(~unlike | ground)
   open_ground = np.isin(label, np.unique(label[ground])) & (label > 0)
   mask = ~open_ground
-  mask, gaps = _without_gaps(mask, label, count, difference, tolerance)
+  mask, gaps = _without_gaps(mask, label, count, difference <= max(tolerance, traces), smooth)
   if not mask.any():
     return Found(mask, (), bool(share >= _SURE))
   # What joins two parts of the object and is not quite ground belongs to it.
@@ -143,7 +148,7 @@ def _find(image):
   edge = mask & ~ndimage.binary_erosion(mask, border_value=1)
   if edge.any() and np.percentile(near[edge], 25) < 12:
     warnings.append('shows an object that hardly differs from its ground: parts may be missing')
-  if _may_be_shadow(image, mask, local[0], noise):
+  if _may_be_shadow(image, mask, local, noise):
     warnings.append("shows a dark part in its ground's hue below the object: it may be a shadow")
   return Found(mask, tuple(warnings), bool(share >= _SURE))
 
@@ -158,11 +163,16 @@ def _noise(image):
 
 
 def _smooth(image, noise):
-  """Where there is no edge."""
-  fine, coarse, limit = (0, 2.0, 1.2) if noise < 0.5 else (1.5, 4.0, max(1.2, 0.8 * noise))
-  band = ndimage.gaussian_filter(image, (fine, fine, 0))
-  band -= ndimage.gaussian_filter(image, (coarse, coarse, 0))
-  return np.abs(band).max(-1) <= limit
+  """Where there is no edge.
+
+  An edge answers to a band-pass filter by more than noise and more than a blurred one (a shadow's)
+  would, whose answer is small beside its slope.
+  """
+  fine, coarse, limit, per_slope = _CLEAN if noise < 0.5 else (*_GRAINY, max(1.2, 0.8 * noise), 0.9)
+  low = ndimage.gaussian_filter(image, (coarse, coarse, 0))
+  band = np.abs(ndimage.gaussian_filter(image, (fine, fine, 0)) - low).max(-1)
+  slope = np.hypot(*np.gradient(low, axis=(0, 1))).max(-1)
+  return band <= limit + per_slope * slope
 
 
 def _grounds(image, regions, smooth, noise):
@@ -183,16 +193,30 @@ def _grounds(image, regions, smooth, noise):
     and (side == side[0]).mean() > 0.6
     and all((sides[n] == side[0]).mean() < 0.6 for n in (a, b))
   ]
+  ring = np.ones(regions.shape, bool)
+  margin = max(1, round(0.04 * min(regions.shape)))
+  ring[margin:-margin, margin:-margin] = False
   found = []
   for seed in dict.fromkeys([main, *strips]):
-    model = _fit(image, regions == seed)
-    shade = smooth & _is_shade(image, model, noise)
-    label, _ = ndimage.label(shade)
     own = regions == seed
-    near = np.abs(image - model).max(-1) <= max(16, 3 * noise)
-    touching = np.unique(_border(label)[_border(near | own) & (_border(label) > 0)])
-    found.append(np.isin(label, touching) & shade)
+    model = _fit(image, own & ring)
+    flood = _flood(image, model, own, smooth, noise, 1.2)
+    if flood.any():  # the border alone does not tell how bright the middle is
+      model = _fit(image, flood)
+      flood = _flood(image, model, own, smooth, noise, _BRIGHTER)
+    found.append(flood)
   return [g for g in found if g.any()]
+
+
+def _flood(image, model, own, smooth, noise, brightest):
+  """Smooth shades of the ground that are connected to where it touches the border."""
+  shade = smooth & _is_shade(image, model, noise, brightest)
+  label, _ = ndimage.label(ndimage.binary_erosion(shade, np.ones((3, 3)), _LEAK, border_value=1))
+  near = np.abs(image - model).max(-1) <= max(16, 3 * noise)
+  edge = _border(label)
+  touching = np.unique(edge[_border(near | own) & (edge > 0)])
+  flood = np.isin(label, touching) & (label > 0)
+  return ndimage.binary_dilation(flood, np.ones((3, 3)), _LEAK) & shade
 
 
 def _border(values):
@@ -200,18 +224,15 @@ def _border(values):
 
 
 def _fit(image, region):
-  """The ground's colour everywhere: a parabola in x and y, from the region's part of the border."""
+  """The ground's colour everywhere: a parabola in x and y, from a region of it."""
   height, width = region.shape
   v, u = np.mgrid[0:height, 0:width].astype(np.float32)
   u, v = 2 * u / max(1, width - 1) - 1, 2 * v / max(1, height - 1) - 1
   terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
-  ring = np.zeros(region.shape, bool)
-  margin = max(1, round(0.04 * min(height, width)))
-  ring[:margin], ring[-margin:], ring[:, :margin], ring[:, -margin:] = (True,) * 4
-  at = np.flatnonzero((region & ring).ravel())
+  at = np.flatnonzero(region.ravel())
   at = at[:: max(1, len(at) // 4000)]
   a, b = terms.reshape(-1, 6)[at], image.reshape(-1, 3)[at]
-  damping = 1e-2 * len(at) * np.diag([0, 0, 0, 1, 1, 1])  # a border in one corner bends nothing
+  damping = 1e-3 * len(at) * np.diag([0, 0, 0, 1, 1, 1])  # a region in one corner bends nothing
   weights = np.ones(len(at), np.float32)
   for _ in range(3):
     w = a * weights[:, None]
@@ -220,11 +241,13 @@ def _fit(image, region):
   return np.clip(terms @ solution.astype(np.float32), 0, 255)
 
 
-def _is_shade(image, model, noise):
-  """Where a colour is the ground's, lighter or darker."""
+def _is_shade(image, model, noise, brightest=_BRIGHTER):
+  """Where a colour is the ground's, in shadow or a little brighter."""
   scale = (image * model).sum(-1) / np.maximum((model * model).sum(-1), 1)
-  scale = np.where(model.max(-1) < 24, 1, np.clip(scale, 0.25, 1.15))
-  return np.abs(image - scale[..., None] * model).max(-1) <= max(_HUE, 4 * noise)
+  dark = model.max(-1) < 24
+  scale = np.where(dark, 1, scale)
+  hue = np.abs(image - scale[..., None] * model).max(-1)
+  return (hue <= max(_HUE, 4 * noise)) & (scale >= _SHADOW) & (scale <= brightest)
 
 
 def _extend(image, ground):
@@ -236,13 +259,21 @@ def _extend(image, ground):
   return own[tuple(nearest)]
 
 
-def _difference(image, local):
-  """How much a pixel differs from the nearest ground, or from a mixture of the two nearest."""
-  first, last = local[0], local[-1]
-  along = last - first
-  length = np.maximum((along * along).sum(-1, keepdims=True), 1e-6)
-  share = np.clip(((image - first) * along).sum(-1, keepdims=True) / length, 0, 1)
-  return np.abs(image - first - share * along).max(-1)
+def _difference(image, local, grounds):
+  """How much a pixel differs from the nearest ground.
+
+  Where two grounds meet, from the nearest mixture of them.
+  """
+  difference = np.abs(image - local).max(-1)
+  if len(grounds) > 1:
+    first, second = (_extend(image, g) for g in grounds[:2])
+    line = np.all([ndimage.distance_transform_edt(~g) <= _LINE for g in grounds[:2]], axis=0)
+    along = second - first
+    length = np.maximum((along * along).sum(-1, keepdims=True), 1e-6)
+    share = np.clip(((image - first) * along).sum(-1, keepdims=True) / length, 0, 1)
+    mixed = np.abs(image - first - share * along).max(-1)
+    difference = np.where(line, np.minimum(mixed, difference), difference)
+  return difference
 
 
 def _limits(difference, ground):
@@ -262,14 +293,22 @@ def _limits(difference, ground):
   return near, traces, limit
 
 
-def _without_gaps(mask, label, count, difference, tolerance):
-  """The mask without enclosed areas that have the ground's colour, and how many those were."""
+def _without_gaps(mask, label, count, like, smooth):
+  """The mask without gaps, and how many there are.
+
+  A gap is an enclosed area where at least some pixels have the ground's very colour and whose
+  outline is an edge; a highlight in that colour has none.
+  """
   numbers = np.arange(1, count + 1)
   inside = mask & (label > 0)
   area = ndimage.sum_labels(inside, label, numbers)
-  mean = ndimage.mean(difference, label, numbers) if count else np.zeros(0)
-  least = max(9, 0.002 * mask.sum())
-  gaps = numbers[(area >= least) & (mean <= tolerance)]
+  share = ndimage.sum_labels(inside & like, label, numbers) / np.maximum(area, 1)
+  gaps = []
+  for number in numbers[(area >= max(9, 0.002 * mask.sum())) & (share >= 0.2)]:
+    gap = label == number
+    outline = ndimage.binary_dilation(gap, np.ones((3, 3)), 2) & ~gap
+    if (~smooth[outline]).mean() >= 0.6:
+      gaps.append(number)
   return mask & ~np.isin(label, gaps), len(gaps)
 
 
@@ -280,7 +319,7 @@ def _may_be_shadow(image, mask, ground, noise):
   low[: (rows.start + rows.stop) // 2] = False
   level, base = image.mean(-1), ground.mean(-1)
   shade = _is_shade(image, ground, noise) & mask
-  dark = shade & low & (level < 0.95 * base) & (level > 0.4 * base)
+  dark = shade & low & (level < 0.95 * base) & (level > 0.5 * base)
   return bool(dark.sum() > 0.15 * mask.sum() and shade.sum() < 0.6 * mask.sum())
 
 
