@@ -139,15 +139,6 @@ def test_bad_folders_and_names(tmp_path, workdirs):
     _run(**good | {'color': workdirs['shape']})
 
 
-def test_names_of_pictures(tmp_path, monkeypatch):
-  monkeypatch.chdir(tmp_path)
-  (tmp_path / 'a,b.png').touch()
-  assert program.split_names(['a,b.png', 'c.png, d.png,', 'c.png']) == ['a,b.png', 'c.png', 'd.png']
-  paths = ['x/a.png', 'y/a.jpg', 'a_2.png', 'z/a.png']
-  names = program.output_names(paths)
-  assert names['x/a.png'] == 'a' and len(set(names.values())) == 4
-
-
 def test_program_ends_in_one_line():
   command = [sys.executable, '-m', 'experiments.reconstruct']
   nothing = [f'--{k}=/nowhere/{k}' for k in ('image', 'shape', 'color', 'output')]

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from cvn import camera, grid
-from cvn.photo import ground
+from cvn.photo import regions
 
 _EXACT = 2  # largest difference of a drawn ground to its colour, of 255; a photo's differs by more
 _CENTER = 0.09  # largest distance of an object's centre from a view's, by perspective; of its size
@@ -32,7 +32,7 @@ def find_framed(rgba: np.ndarray, image_size: int) -> np.ndarray | None:
   mask = framed_mask(rgba)
   if mask is None or not mask.any():
     return None
-  rows, columns = ground.bounding_box(mask)
+  rows, columns = regions.bounding_box(mask)
   middle = 0.5 * image_size
   off = max(abs(0.5 * (s.start + s.stop) - middle) for s in (rows, columns))
   longer = max(s.stop - s.start for s in (rows, columns))
@@ -53,7 +53,7 @@ def framed_mask(rgba: np.ndarray) -> np.ndarray | None:
   almost = (difference > 0) & (difference <= _EXACT)  # a codec's traces
   if (np.abs(border - plain).max(-1) == 0).mean() < 0.7 or almost.mean() > 0.01:
     return None
-  return ground.without_open(difference <= _EXACT)
+  return regions.without_open(difference <= _EXACT)
 
 
 def reframe(rgb: np.ndarray, alpha: np.ndarray, image_size: int) -> np.ndarray:
@@ -68,7 +68,7 @@ def reframe(rgb: np.ndarray, alpha: np.ndarray, image_size: int) -> np.ndarray:
     u8 [image_size, image_size, 4].
   """
   solid = alpha >= 128
-  rows, columns = ground.bounding_box(solid if solid.any() else alpha > 0)
+  rows, columns = regions.bounding_box(solid if solid.any() else alpha > 0)
   shape = rows.stop - rows.start, columns.stop - columns.start
   focal = camera.camera_at(0, image_size=image_size).K[0, 0]
   extent = focal * grid.OBJECT_EXTENT / camera.DISTANCE  # pixels

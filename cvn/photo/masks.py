@@ -18,7 +18,7 @@ from PIL import Image
 from scipy import ndimage
 
 from cvn.errors import UserError
-from cvn.photo import ground, matting
+from cvn.photo import ground, matting, regions
 
 # Chosen by us; the paper has no photos.
 OPAQUE = 250  # alpha from here on counts as opaque
@@ -54,7 +54,7 @@ def find_mask(rgba: np.ndarray, path: str, *, given: np.ndarray | None = None) -
     alpha = np.where(given, soft, np.uint8(0))
     if not alpha.any():
       raise UserError(f'{path} is transparent wherever its mask is white')
-    return Mask(alpha, 'mask', tuple(ground.doubts(given)))
+    return Mask(alpha, 'mask', tuple(regions.doubts(given)))
   if (rgba[..., 3] < OPAQUE).any():
     return _from_alpha(rgba, path)
   return _search(rgba[..., :3], path)
@@ -71,10 +71,10 @@ def _from_alpha(rgba, path):
   if highest < 2 * SOLID - 56:  # glass: what is most opaque is taken as solid
     warnings.append(f'shows a transparent object (alpha {highest} of 255): taken as opaque')
     alpha = np.minimum(255, alpha.astype(int) * 255 // highest).astype(np.uint8)
-  solid = ground.without_specks(alpha >= SOLID)
+  solid = regions.without_specks(alpha >= SOLID)
   if not solid.any():
     raise UserError(f'{path} is transparent everywhere: there is nothing to reconstruct')
-  rows, columns = box = ground.bounding_box(solid)
+  rows, columns = box = regions.bounding_box(solid)
   if solid[box].mean() > 0.9:  # a window or a whole picture: its object may lie inside
     nearest = ndimage.distance_transform_edt(
       ~solid[box], return_distances=False, return_indices=True
@@ -90,7 +90,7 @@ def _from_alpha(rgba, path):
     warnings.append('has an alpha channel that leaves a rectangle: all of it is the object')
   # Soft shadows and the noise of matting networks go; the soft edge stays.
   edge = ndimage.binary_dilation(solid, np.ones((3, 3)), 2)
-  return Mask(np.where(edge, alpha, np.uint8(0)), 'alpha', (*warnings, *ground.doubts(solid)))
+  return Mask(np.where(edge, alpha, np.uint8(0)), 'alpha', (*warnings, *regions.doubts(solid)))
 
 
 def _search(rgb, path, *, only_ground=False):
@@ -115,9 +115,9 @@ def _search(rgb, path, *, only_ground=False):
       notes.append(str(e))
       continue
     if mask is not None and mask.any():
-      mask = ground.without_specks(mask)
+      mask = regions.without_specks(mask)
       guess = f'has a busy background: the object was guessed by {name}, see the mask'
-      return _fitted(mask, rgb, name, (guess, *ground.doubts(mask)))
+      return _fitted(mask, rgb, name, (guess, *regions.doubts(mask)))
   if found is not None:
     return _fitted(found.mask, rgb, 'ground', found.warnings)
   why = f' ({"; ".join(notes)})' if notes else ''
@@ -131,7 +131,7 @@ def _closer(rgb, found):
   """The same from the object's surroundings alone, if these can be searched at a finer scale."""
   height, width = rgb.shape[:2]
   scale = np.array([height, width]) / found.mask.shape
-  rows, columns = ground.bounding_box(found.mask)
+  rows, columns = regions.bounding_box(found.mask)
   margin = _MARGIN * max(rows.stop - rows.start, columns.stop - columns.start) + 4
   (top, bottom), (left, right) = (
     (max(0, int(k * (s.start - margin))), min(n, int(k * (s.stop + margin)) + 1))
