@@ -81,12 +81,14 @@ def test_enclosed_gaps_are_ground():
 
 
 def test_a_highlight_is_no_gap():
-  image = paint(255, chair()).astype(float)
+  disc = np.hypot(U - 120, V - 90) < 60
+  image = paint(255, disc).astype(float)
   spot = np.exp(-((U - 120) ** 2 + (V - 97) ** 2) / 200)[..., None]
-  image = np.where(chair()[..., None], image + 260 * spot, image)
+  image = np.where(disc[..., None], image + 260 * spot, image)
   assert (image[97, 120] >= 255).all()
   found = ground.find_object(np.clip(image, 0, 255).astype(np.uint8))
-  np.testing.assert_array_equal(found.mask, chair())
+  np.testing.assert_array_equal(found.mask, disc)
+  assert found.warnings == ()
 
 
 def test_wall_and_floor():
@@ -142,12 +144,15 @@ def test_nothing_but_ground_is_an_empty_mask():
   assert not ground.find_object(paint(GROUNDS['vignette'], np.zeros_like(chair()))).mask.any()
 
 
-@pytest.mark.parametrize('kind', ['noise', 'stripes', 'blobs'])
+@pytest.mark.parametrize('kind', ['noise', 'stripes', 'blobs', 'bricks'])
 def test_busy_backgrounds_are_no_ground(kind):
   rng = np.random.default_rng(0)
   noise = rng.uniform(0, 255, (HEIGHT, WIDTH, 3))
   if kind == 'stripes':
     noise = np.broadcast_to(255 * ((U // 6) % 2)[..., None], noise.shape)
+  if kind == 'bricks':
+    lines = (V % 24 < 3) | ((U + 20 * (V // 24 % 2)) % 40 < 3)
+    noise = np.where(lines[..., None], 150, np.full_like(noise, 90))
   if kind == 'blobs':
     noise = ndimage.gaussian_filter(noise, (3, 3, 0))
     noise = 128 + 60 * (noise - noise.mean()) / noise.std()

@@ -26,6 +26,7 @@ from cvn.photo.regions import border, bounding_box, doubts, without_open, withou
 _PLAIN = 0.35  # share of the border that must be ground
 _SURE = 0.7  # from here on, nothing else can be the ground
 _NOISY = 10  # standard deviation of the noise: above it nothing is smooth
+_PIECES = 8  # of an object along the border; a pattern has more
 _STRONG = 40  # a contrast around which codecs leave traces
 _STEEP = 4  # largest slope of a shadow, in levels a pixel
 _LINE = 6  # how far ground goes on beyond what was found of it, in pixels
@@ -83,13 +84,15 @@ def _find(image):
   label, count = ndimage.label(~unlike | ground)
   open_ground = np.isin(label, np.unique(label[ground])) & (label > 0)
   mask = ~open_ground
-  mask, gaps = _without_gaps(mask, label, count, difference <= max(tolerance, traces), smooth)
+  mask, gaps = _without_gaps(mask, label, count, difference, max(tolerance, traces))
   if (difference > _STRONG).any():
     hairs = mask & ~ndimage.binary_opening(mask, np.ones((3, 3)))
     mask &= ~(hairs & (difference < 0.5 * _STRONG))
   if not mask.any():
     return Found(mask, (), bool(share >= _SURE))
   mask = without_specks(mask)
+  if (np.diff(border(mask).astype(int)) == 1).sum() > _PIECES:
+    return None
   # What joins two parts of the object and is not quite ground belongs to it.
   mask |= ndimage.binary_closing(mask, np.ones((3, 3)), 3) & (difference > max(tolerance, traces))
   warnings = doubts(mask)
@@ -142,21 +145,22 @@ def _limits(image, difference, ground, tolerance):
   return near, traces, np.maximum(limit, 0.5 * near * blurred)
 
 
-def _without_gaps(mask, label, count, like, smooth):
+def _without_gaps(mask, label, count, difference, tolerance):
   """The mask without gaps, and how many there are.
 
   A gap is an enclosed area where at least some pixels have the ground's very colour and whose
-  outline is an edge; a highlight in that colour has none.
+  outline is an edge; a highlight in that colour fades into the object.
   """
   numbers = np.arange(1, count + 1)
   inside = mask & (label > 0)
   area = ndimage.sum_labels(inside, label, numbers)
-  share = ndimage.sum_labels(inside & like, label, numbers) / np.maximum(area, 1)
+  share = ndimage.sum_labels(inside & (difference <= tolerance), label, numbers)
+  share /= np.maximum(area, 1)
   gaps = []
   for number in numbers[(area >= max(9, 0.002 * mask.sum())) & (share >= 0.2)]:
-    gap = label == number
-    outline = ndimage.binary_dilation(gap, np.ones((3, 3)), 2) & ~gap
-    if (~smooth[outline]).mean() >= 0.6:
+    core = (label == number) & (difference <= tolerance)
+    close, wide = (ndimage.binary_dilation(core, np.ones((3, 3)), n) & mask & ~core for n in (3, 9))
+    if np.percentile(difference[close], 75) >= 0.5 * np.percentile(difference[wide], 75):
       gaps.append(number)
   return mask & ~np.isin(label, gaps), len(gaps)
 
