@@ -2,7 +2,7 @@ r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
   [--category=NAME,...] [--source=NAME,...] [--alpha=NUMBER|val] [--threshold=NUMBER|val] [--flip]
-  [--carve] [--baselines] [--json=FILE]
+  [--carve] [--baselines] [--reference_data=DIR] [--reference_source=NAME,...] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
@@ -15,12 +15,16 @@ for more than 58.9 dB, the rounding of the true colours to 8 bits.
 
 --baselines puts two trivial ones beside the networks, made of the split train: the mean shape of
 the model's category, and its mean surface colour on the very voxels whose colours are judged.
+
+The splits val and train that thresholds, alpha and baselines come from are those of --data, or of
+--reference_data: so a data set that has only a test split is evaluated as well.
 """
 
 import contextlib
 import functools
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -59,11 +63,12 @@ def run(f: flags.FlagValues) -> int:
       "--carve sees the views as this project's camera does; that of the authors' released views is"
       ' not known: shapes may lose what they should keep'
     )
+  reference = open_reference(f, dataset)
   # The file's place is tried before the work, not after it.
   with atomic_write(f.json) if f.json else contextlib.nullcontext() as temporary:
-    means = find_baselines(dataset, rows) if f.baselines else {}
-    threshold = find_threshold(f, dataset, shape)
-    alpha = find_alpha(f, dataset, shape, color, threshold)
+    means = find_baselines(reference, {models[row].category for row in rows}) if f.baselines else {}
+    threshold = find_threshold(f, reference, shape)
+    alpha = find_alpha(f, reference, shape, color, threshold)
     found = [
       scoring.score_model(
         dataset,
@@ -86,6 +91,24 @@ def run(f: flags.FlagValues) -> int:
       with open(temporary, 'w') as out:
         out.write(json.dumps(report, indent=1, allow_nan=False) + '\n')
   return 0
+
+
+def open_reference(f: flags.FlagValues, dataset: Dataset) -> Dataset:
+  """The data set that thresholds, alpha and baselines come from.
+
+  Raises:
+    UserError: it cannot be read, or its grid is another one.
+  """
+  if not f.reference_data:
+    return dataset
+  reference = open_dataset(f.reference_data)
+  sizes = [(d.manifest.image_size, d.manifest.grid_size) for d in (dataset, reference)]
+  if sizes[0] != sizes[1]:
+    raise UserError(
+      f'{f.reference_data} has {sizes[1][0]}-pixel views and a grid of {sizes[1][1]}, {f.data}'
+      f' {sizes[0][0]} and {sizes[0][1]}: --reference_data must be of the same sizes'
+    )
+  return reference
 
 
 def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None) -> float:
@@ -130,28 +153,36 @@ def find_alpha(
 
 
 def _validation_rows(f, dataset, name):
-  rows = data.select_rows(dataset, 'val', f.category, f.source)
+  sources = f.reference_source or (() if f.reference_data else f.source)
+  rows = data.select_rows(dataset, 'val', f.category, sources)
   if len(rows) == 0:
-    raise UserError(f'{f.data} has no finished model in the split val: give a --{name}')
+    raise UserError(
+      f'{dataset.root} has no finished model in the split val: give a --{name}, or another data set'
+      ' as --reference_data'
+    )
   return rows
 
 
-def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
-  """The baselines of the rows' categories.
+def find_baselines(dataset: Dataset, categories: Iterable[str]) -> dict[str, Baseline]:
+  """The baselines of some categories, from the data set's split train.
 
   Raises:
     UserError: a category has no training model.
   """
   models = dataset.manifest.models
-  wanted = sorted({models[row].category for row in rows})
+  wanted = sorted(categories)
+  known = [c for c in wanted if any(m.category == c for m in models)] or wanted
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
-  for row in tqdm(data.select_rows(dataset, 'train', wanted), desc='baselines', disable=None):
+  for row in tqdm(data.select_rows(dataset, 'train', known), desc='baselines', disable=None):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)
   for c in wanted:
     if not surfaces[c]:
-      raise UserError(f'{dataset.root} has no finished {c} in the split train: no --baselines')
+      raise UserError(
+        f'{dataset.root} has no finished {c} in the split train: give another data set as'
+        ' --reference_data, or no --baselines'
+      )
   size = dataset.manifest.grid_size
   return {
     c: Baseline(baselines.mean_shape(surfaces[c], size), baselines.mean_color(colors[c]))

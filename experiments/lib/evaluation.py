@@ -47,6 +47,19 @@ def define_flags(f: flags.FlagValues) -> None:
     **own,
   )
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines, too.', **own)
+  flags.DEFINE_string(
+    'reference_data',
+    None,
+    'The data set whose splits val and train thresholds, alpha and baselines come from; --data'
+    ' itself by default.',
+    **own,
+  )
+  flags.DEFINE_list(
+    'reference_source',
+    [],
+    "Sources of its models of the split val; by default all of --reference_data's, or --source.",
+    **own,
+  )
   flags.DEFINE_string('json', None, 'A file for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
   flags.register_validator('alpha', is_alpha, "must be in (0, 1], or 'val'", f)
@@ -69,9 +82,17 @@ def make_options(f: flags.FlagValues, dataset: Dataset) -> dict[str, Any]:
   """
   rows = [row for s in SPLITS for row in data.select_rows(dataset, s, f.category)]
   names = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
+  reference = {}
+  if f.reference_data:
+    other = open_dataset(f.reference_data)
+    used = [row for s in ('train', 'val') for row in data.select_rows(other, s)]
+    reference = {'reference_data': other.root, 'reference_digest': digest(other, used)}
+  if f.reference_source:
+    reference['reference_source'] = f.reference_source
   return {
     'data': dataset.root,
     'data_digest': digest(dataset, rows),
+    **reference,
     **{n: f[n].value for n in names},
     'runs': {k: describe_run(f[k].value) for k in ('shape', 'color') if f[k].value},
   }
