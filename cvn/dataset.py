@@ -107,12 +107,12 @@ def to_url(root: str) -> str:
   return url.rstrip('/') + '/'
 
 
-def encode_flow(flow):
+def encode_flow(flow: Any) -> np.ndarray:
   """(u, v) in [0, 1] -> u16."""
   return np.round(np.clip(flow, 0, 1) * 65535).astype(np.uint16)
 
 
-def decode_flow(flow):
+def decode_flow(flow: Any) -> Any:
   """The inverse of `encode_flow`, as float32."""
   return flow.astype(np.float32) / 65535
 
@@ -224,6 +224,11 @@ def open_arrays(root: str) -> dict[str, ts.TensorStore]:
 def check_size(arrays: dict[str, ts.TensorStore], record: Record) -> None:
   """Checks that a data set has room for a record.
 
+  Args:
+    arrays: of the data set, see `open_arrays`.
+    row: of the model.
+    record: the model.
+
   Raises:
     UserError: the record has no voxel, or more than the data set's capacity.
   """
@@ -309,8 +314,12 @@ def digest(dataset: Dataset, rows: Sequence[int]) -> str:
   return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def read_json(root: str, name: str):
-  """A JSON file of the data set, or None where there is none."""
+def read_json(root: str, name: str) -> Any:
+  """A JSON file of the data set; None if there is none.
+
+  Raises:
+    UserError: it cannot be read.
+  """
   try:
     raw = ts.KvStore.open(to_url(root)).result().read(name).result()
     return json.loads(raw.value) if raw.state == 'value' else None
@@ -318,8 +327,17 @@ def read_json(root: str, name: str):
     raise UserError(f'cannot read {root}{name}: {_first_line(e)}') from e
 
 
-def write_json(root: str, name: str, value) -> None:
-  """Writes a JSON file of the data set, whole or not at all."""
+def write_json(root: str, name: str, value: Any) -> None:
+  """Writes a JSON file of the data set, whole or not at all.
+
+  Args:
+    root: of the data set.
+    name: of the file.
+    value: JSON values.
+
+  Raises:
+    UserError: it cannot be written.
+  """
   text = json.dumps(value, indent=1, sort_keys=True) + '\n'
   try:
     ts.KvStore.open(to_url(root)).result().write(name, text.encode()).result()

@@ -5,7 +5,7 @@ network itself knows what is usual: for training images, the squared deviation o
 its mean is one variance on average.
 """
 
-import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,13 @@ from cvn.networks import ENCODER, Encoder
 _EPSILON = 1e-3  # of the layers' normalisation
 
 
-@functools.partial(jax.jit)
-def feature_deviation(variables, views: jax.Array, *, background: float = GREY) -> jax.Array:
+@jax.jit
+def feature_deviation(variables: Any, views: Any, *, background: float = GREY) -> jax.Array:
   """Mean squared deviation of the encoder's code, in the variances of training.
 
   Args:
     variables: {'params', 'batch_stats'} of any of the networks.
-    views: [B, H, W, 4], straight-alpha sRGB in [0, 1].
+    views: [B, H, W, 4], straight-alpha sRGB, uint8 or float in [0, 1].
     background: grey level in [0, 1] behind the object.
 
   Returns:
@@ -33,7 +33,7 @@ def feature_deviation(variables, views: jax.Array, *, background: float = GREY) 
   last = f'conv{len(ENCODER)}'
   _, found = encoder.apply(
     {'params': params, 'batch_stats': stats},
-    composite(views, background),
+    composite(views, background=background),
     False,
     capture_intermediates=lambda module, _: module.name == last,
     mutable=['intermediates'],

@@ -31,9 +31,10 @@ import numpy as np
 from absl import flags, logging
 from tqdm import tqdm
 
-from cvn import baselines, blending, data, environment, errors, methods
+from cvn import blending, data, environment, errors, metrics, readouts
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import baselines
 from cvn.files import atomic_write
 from experiments.lib import scoring
 from experiments.lib.evaluation import ALPHAS, define_flags, make_options
@@ -52,11 +53,13 @@ def run(f: flags.FlagValues) -> int:
   if not (f.shape or f.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, f.split, f.category, f.source)
+  rows = data.select_rows(dataset, f.split, categories=f.category, sources=f.source)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
-  shape = scoring.load(f.shape, methods.SHAPE_KINDS, dataset) if f.shape else None
-  color = scoring.load(f.color, methods.COLOR_KINDS, dataset) if f.color else None
+  shape = scoring.load(f.shape, readouts.SHAPE_KINDS, dataset) if f.shape else None
+  color = shape  # one network for both runs once
+  if f.color != f.shape:
+    color = scoring.load(f.color, readouts.COLOR_KINDS, dataset) if f.color else None
   models = dataset.manifest.models
   if f.carve and any(models[row].source == UNKNOWN_CAMERA for row in rows):
     logging.warning(
@@ -67,7 +70,7 @@ def run(f: flags.FlagValues) -> int:
   # The file's place is tried before the work, not after it.
   with atomic_write(f.json) if f.json else contextlib.nullcontext() as temporary:
     means = find_baselines(reference, {models[row].category for row in rows}) if f.baselines else {}
-    threshold = find_threshold(f, reference, shape)
+    threshold = find_threshold(f, reference, shape, color)
     alpha = find_alpha(f, reference, shape, color, threshold)
     found = [
       scoring.score_model(
@@ -111,7 +114,9 @@ def open_reference(f: flags.FlagValues, dataset: Dataset) -> Dataset:
   return reference
 
 
-def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None) -> float:
+def find_threshold(
+  f: flags.FlagValues, dataset: Dataset, shape: Network | None, color: Network | None
+) -> float:
   """The threshold that the flags ask for.
 
   Raises:
@@ -120,7 +125,7 @@ def find_threshold(f: flags.FlagValues, dataset: Dataset, shape: Network | None)
   if f.threshold not in (None, 'val'):
     return float(f.threshold)
   if shape is None or f.threshold is None:
-    return methods.THRESHOLDS[shape.kind if shape else 'shape']
+    return readouts.THRESHOLDS.get((shape or color).kind, metrics.OCCUPIED)
   progress = tqdm(
     _validation_rows(f, dataset, 'threshold'), desc='threshold on val', unit='model', disable=None
   )
@@ -143,7 +148,7 @@ def find_alpha(
   """
   if f.alpha != 'val':
     return float(f.alpha)
-  if color is None or color.kind not in methods.BLENDING_KINDS:
+  if color is None or color.kind not in readouts.BLENDING_KINDS:
     return blending.ALPHA
   progress = tqdm(
     _validation_rows(f, dataset, 'alpha'), desc='alpha on val', unit='model', disable=None
@@ -154,7 +159,7 @@ def find_alpha(
 
 def _validation_rows(f, dataset, name):
   sources = f.reference_source or (() if f.reference_data else f.source)
-  rows = data.select_rows(dataset, 'val', f.category, sources)
+  rows = data.select_rows(dataset, 'val', categories=f.category, sources=sources)
   if len(rows) == 0:
     raise UserError(
       f'{dataset.root} has no finished model in the split val: give a --{name}, or another data set'
@@ -173,7 +178,9 @@ def find_baselines(dataset: Dataset, categories: Iterable[str]) -> dict[str, Bas
   wanted = sorted(categories)
   known = [c for c in wanted if any(m.category == c for m in models)] or wanted
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
-  for row in tqdm(data.select_rows(dataset, 'train', known), desc='baselines', disable=None):
+  for row in tqdm(
+    data.select_rows(dataset, 'train', categories=known), desc='baselines', disable=None
+  ):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)

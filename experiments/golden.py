@@ -15,7 +15,7 @@ import numpy as np
 
 from cvn.camera import IMAGE_SIZE
 from cvn.errors import UserError
-from cvn.grid import GRID_SIZE
+from cvn.grid import GRID_SIZE, PADDING_INDEX
 from cvn.ops.normalization import EPSILON
 
 BATCH = 4
@@ -150,6 +150,23 @@ def draw_input(golden: dict[str, np.ndarray]):
   generator = np.random.RandomState(int(golden['seed']) + 7)
   image = generator.rand(BATCH, IMAGE_SIZE, IMAGE_SIZE, 3).astype(np.float32)
   return image, generator.rand(BATCH, *(GRID_SIZE,) * 3, 1) < 0.03, generator
+
+
+def list_voxels(mask: np.ndarray) -> np.ndarray:
+  """The voxels of a mask [B, X, Y, Z, 1] as cvn.data has them, [B, S, 3] int32 and padded."""
+  found = [np.argwhere(m[..., 0]) for m in mask]
+  index = np.full((len(mask), max(map(len, found)), 3), PADDING_INDEX, np.int32)
+  for row, voxels in zip(index, found, strict=True):
+    row[: len(voxels)] = voxels
+  return index
+
+
+def at_voxels(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
+  """A volume [B, X, Y, Z, C] at the voxels [B, S, 3] of `list_voxels`; 0 where padded."""
+  real = index[..., :1] != PADDING_INDEX
+  place = np.where(real, index, 0)
+  found = np.stack([v[tuple(i.T)] for v, i in zip(volume, place, strict=True)])
+  return np.where(real, found, 0)
 
 
 def draw_params(golden: dict[str, np.ndarray], network_params) -> dict:

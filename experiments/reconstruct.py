@@ -19,21 +19,10 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import (
-  blending,
-  camera,
-  checkpoint,
-  environment,
-  errors,
-  export,
-  figures,
-  methods,
-  metrics,
-  photo,
-  reconstruct,
-)
+from cvn import blending, checkpoint, environment, errors, export, figures, infer, metrics, photo
 from cvn.errors import UserError
 from cvn.files import atomic_write
+from cvn.infer import Network
 from experiments.lib import photos
 
 
@@ -106,14 +95,17 @@ def run(f: flags.FlagValues) -> int:
   for path in (*paths, *filter(None, masks.values())):
     if os.path.realpath(path) in taken:
       raise UserError(f'the results would overwrite {path}: give another folder as --output')
-  _, shape = checkpoint.load_network(f.shape, 'shape')
-  _, color = checkpoint.load_network(f.color, 'color')
+  shape, color = infer.load(f.shape, 'shape'), infer.load(f.color, 'color')
+  known = photos.known_categories(*map(checkpoint.read_config, (f.shape, f.color)))
+  if known:
+    print(f'the networks know {", ".join(known)}, and nothing else')
   failures = 0
   for path in tqdm(paths, unit='picture', disable=None):
     start = time.perf_counter()
     try:
       picture = photo.load_photo(path, mask=masks[path], framed=f.framed)
-      for warning in picture.warnings:
+      found = photos.how_unusual(path, picture.view, shape)
+      for warning in (*picture.warnings, *found):
         tqdm.write(f'warning: {warning}', sys.stderr)
       photos.write_mask(f'{stems[path]}_mask.png', picture)
       options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve', 'up')}
@@ -133,36 +125,29 @@ def run(f: flags.FlagValues) -> int:
 def reconstruct_view(
   view: np.ndarray,
   stem: str,
-  shape,
-  color,
+  shape: Network,
+  color: Network,
   *,
   alpha: float,
   threshold: float,
-  flip: bool = False,
-  carve: bool = False,
-  up: str = 'y',
+  flip: bool,
+  carve: bool,
+  up: str,
 ) -> int:
   """One view -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
-  views = view[None].astype(np.float32) / 255
-  batch = reconstruct.reconstruct(shape, color, views, alpha=alpha)
-  if flip or carve:
-    azimuths = camera.AZIMUTHS if carve else ()
-    batch = batch._replace(
-      probability=methods.score('shape', shape, views, flip=flip, carve=azimuths),
-      blended=methods.colors('color', color, views, alpha=alpha, flip=flip),
-    )
-  one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-  voxels = reconstruct.to_voxels(one, threshold)
+  options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'carve': carve}
+  found = jax.device_get(infer.reconstruct(view, shape=shape, color=color, **options))
+  voxels = infer.to_voxels(found)
   count = int(np.sum(voxels.occupancy))
   if count == 0:
     raise UserError(
       f'no voxel reaches --threshold={threshold}, the highest probability is'
-      f' {one.probability.max():.3g}: lower the threshold, or train the shape network longer'
+      f' {found.probability.max():.3g}: lower the threshold, or train the shape network longer'
     )
   export.write_glb(f'{stem}.glb', voxels)
   export.write_ply(f'{stem}.ply', voxels, up=up)
   with atomic_write(f'{stem}.png') as temporary:
-    Image.fromarray(figures.reconstruction_panel(view, one, voxels)).save(temporary)
+    Image.fromarray(figures.reconstruction_panel(view, found)).save(temporary)
   return count
 
 

@@ -20,6 +20,7 @@ import time
 import jax
 import numpy as np
 from absl import flags
+from flax import linen as nn
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from tqdm import tqdm
 
@@ -30,12 +31,15 @@ from cvn import (
   environment,
   errors,
   grid,
-  journal,
+  infer,
   train,
 )
 from cvn.dataset import Dataset, open_dataset
 from cvn.errors import UserError
+from cvn.networks import NETWORKS
+from cvn.objectives import OBJECTIVES
 from cvn.recipe import Recipe
+from experiments.lib import journal
 from experiments.lib.training import (
   define_flags,
   is_finished,
@@ -58,7 +62,7 @@ def run(f: flags.FlagValues) -> int:
   read = data.read_shape if f.network == 'shape' else data.read_color
   dataset = open_dataset(f.data)
   check_sizes(dataset)
-  rows = data.select_rows(dataset, 'train', f.category, f.source)
+  rows = data.select_rows(dataset, 'train', categories=f.category, sources=f.source)
   batches = data.training_batches(
     read,
     dataset,
@@ -69,14 +73,15 @@ def run(f: flags.FlagValues) -> int:
     recolor=recipe.recolor,
   )
   resolve_dtype(f)
-  train_step = make_step(f, recipe, f.epochs * len(batches) * f.batch_size)
+  network = NETWORKS[f.network](dataset.manifest.image_size, dataset.manifest.grid_size)
+  train_step = make_step(f, network, recipe, f.epochs * len(batches) * f.batch_size)
   validation = select_validation(f, dataset)
   checkpoint.start(f.workdir, make_config(f, recipe, dataset, rows))
 
   put_batch, put_state = make_placement(f.batch_size)
-  state = put_state(train.create_state(jax.random.key(f.seed), f.network))
-  evaluate = train.make_eval(f.network, recipe)
-  renew = train.make_statistics(f.network, mixed=f.dtype == 'mixed')
+  state = put_state(train.create_state(jax.random.key(f.seed), network))
+  evaluate = train.make_eval(network, OBJECTIVES[f.network], recipe)
+  recalibrate = train.make_recalibration(network.clone(mixed=f.dtype == 'mixed'))
 
   iterator = data.iterate(batches)
   window = []  # metrics of the steps since the last line of the log
@@ -125,15 +130,15 @@ def run(f: flags.FlagValues) -> int:
       validates = step == total or step % (f.validate_every * len(batches)) == 0
       used = state
       if f.fresh_statistics and validates:
-        used = renew(state, (put_batch(batches[n]) for n in range(f.fresh_statistics)))
+        used = recalibrate(state, (put_batch(batches[n]) for n in range(f.fresh_statistics)))
       if len(validation) and validates:
         held_out = data.evaluation_batches(read, dataset, validation, batch_size=f.batch_size)
         with contextlib.closing(data.iterate(held_out, num_epochs=1)) as views:
           found = mean(jax.device_get([evaluate(used, put_batch(b)) for b in views]))
         journal.write_line(log, step, epoch, {'validation': found})
-        picture = draw_views(
-          f.network, used, dataset, validation[:: -(-len(validation) // PICTURES)]
-        )
+        variables = {'params': used.params, 'batch_stats': used.batch_stats}
+        trained = infer.Network(f.network, network, variables)
+        picture = draw_views(trained, dataset, validation[:: -(-len(validation) // PICTURES)])
         journal.write_picture(log, step, 'validation/views', picture)
       if step == total:
         state = used
@@ -149,22 +154,22 @@ def run(f: flags.FlagValues) -> int:
   return 0
 
 
-def make_step(f: flags.FlagValues, recipe: Recipe, samples: int):
+def make_step(f: flags.FlagValues, network: nn.Module, recipe: Recipe, total_samples: int):
   """The step that the flags ask for.
 
   Raises:
     UserError: there is none.
   """
-  options = {'samples': samples, 'mixed': f.dtype == 'mixed'}
+  network = network.clone(mixed=f.dtype == 'mixed')
   if f.heads == 'dense':
-    return train.make_step(f.network, recipe, **options)
+    return train.make_step(network, OBJECTIVES[f.network], recipe, total_samples=total_samples)
   if f.fresh_statistics:
     raise UserError(f'--heads={f.heads} has statistics of its own: no --fresh_statistics')
   if f.network != 'color':
     raise UserError(
       f'--heads={f.heads} is for --network=color: the loss of shapes reads all voxels'
     )
-  return train.make_surface_step(recipe, **options)
+  return train.make_surface_step(network, recipe, total_samples=total_samples)
 
 
 def check_sizes(dataset: Dataset) -> None:
@@ -179,12 +184,12 @@ def check_sizes(dataset: Dataset) -> None:
 
 def select_validation(f: flags.FlagValues, dataset: Dataset) -> np.ndarray:
   """Pairs (row, view) [P, 2] of the split val, in whole batches where they fill one."""
-  rows = data.select_rows(dataset, 'val', f.category, f.validation_source)
+  rows = data.select_rows(dataset, 'val', categories=f.category, sources=f.validation_source)
   views = len(dataset.manifest.azimuths)
   count = min(f.validation_views, len(rows) * views)
   if count > f.batch_size:
     count -= count % f.batch_size
-  return data.evaluation_pairs(rows, views, count)
+  return data.evaluation_pairs(rows, views, limit=count)
 
 
 def make_placement(batch_size: int):

@@ -22,9 +22,10 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, checkpoint, data, environment, errors, reconstruct
+from cvn import blending, checkpoint, data, environment, errors, infer
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.infer import Network
 from datagen import release
 from experiments.lib import scoring
 
@@ -59,13 +60,11 @@ def run(f: flags.FlagValues) -> None:
   if not workdirs:
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, f.split, f.category)
+  rows = data.select_rows(dataset, f.split, categories=f.category)
   if len(rows) == 0:
     raise UserError(f'{f.data} has no finished model in the split {f.split}')
   steps = {kind: checkpoint.latest_step(workdir) for kind, workdir in workdirs.items()}
-  networks = {
-    kind: scoring.load(workdir, (kind,), dataset).variables for kind, workdir in workdirs.items()
-  }
+  networks = {kind: scoring.load(workdir, (kind,), dataset) for kind, workdir in workdirs.items()}
   for kind, workdir in workdirs.items():
     # Their programs score whatever they find: other networks' or splits' files must not mix in.
     source = {'data': dataset.root, 'split': f.split}
@@ -75,8 +74,8 @@ def run(f: flags.FlagValues) -> None:
     release.claim(f.output, f'predicted_{kind}.json', source)
   written = dict.fromkeys(networks, 0)
   for row in tqdm(rows, desc=f'predict {f.split}', unit='model', disable=None):
-    for kind, variables in networks.items():
-      written[kind] += write_model(dataset, row, kind, variables, f.output, alpha=f.alpha)
+    for kind, network in networks.items():
+      written[kind] += write_model(dataset, row, network, f.output, alpha=f.alpha)
   for kind, count in written.items():
     print(
       f'{f.output}: {kind} of {len(rows)} models; written {count}, already there'
@@ -84,9 +83,7 @@ def run(f: flags.FlagValues) -> None:
     )
 
 
-def write_model(
-  dataset: Dataset, row: int, kind: str, variables, output: str, *, alpha: float
-) -> bool:
+def write_model(dataset: Dataset, row: int, network: Network, output: str, *, alpha: float) -> bool:
   """Writes what a network says of a model's views, unless all of it is there.
 
   Returns:
@@ -95,19 +92,20 @@ def write_model(
   Raises:
     UserError: the model's record cannot be read, or the place cannot be written.
   """
-  m, size = dataset.manifest.models[row], dataset.manifest.grid_size
+  m, kind = dataset.manifest.models[row], network.kind
   people = '_human' if m.category == release.HUMAN else ''
   folder = os.path.join(output, f'output_{kind}{people}', release.model_folder(m.category, m.id))
   paths = [os.path.join(folder, f'{release.view_name(a)}.h5') for a in dataset.manifest.azimuths]
   if all(map(os.path.exists, paths)):
     return False
-  views = read_record(dataset, row).views.astype(np.float32) / 255
+  views = read_record(dataset, row).views
   if kind == 'shape':
-    volumes = reconstruct.estimate_shape(variables, views, grid_size=size)[..., None]
+    volumes = infer.reconstruct(views, shape=network).probability[..., None]
   else:
-    found = reconstruct.estimate_color(variables, views, alpha=alpha, grid_size=size)
-    confidence = 1 - found.weight[..., None]
-    volumes = np.concatenate([found.regressed, confidence, found.flow, found.blended], -1)
+    # An alpha of 1 leaves the networks' own weight as it is.
+    found, own = infer.reconstruct_alphas(views, (alpha, 1), color=network)
+    confidence = 1 - own.weight[..., None]
+    volumes = np.concatenate([found.regressed, confidence, found.flow, found.color], -1)
   for path, volume in zip(paths, np.asarray(volumes), strict=True):
     if not os.path.exists(path):
       release.write_array(path, volume)

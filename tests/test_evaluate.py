@@ -12,8 +12,9 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import baselines, checkpoint, dataset, metrics, reconstruct
+from cvn import checkpoint, dataset, infer, metrics
 from cvn.errors import UserError
+from cvn.evaluation import baselines
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import evaluate as program
@@ -103,8 +104,8 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
   report = _evaluate(tmp_path, '--baselines', alpha=0.5, **given)
   assert (report['models'], report['views'], report['alpha']) == (3, 3, 0.5)
   opened = dataset.open_dataset(given['data'])
-  shape = checkpoint.load_network(given['shape'], 'shape')[1]
-  color = checkpoint.load_network(given['color'], 'color')[1]
+  sizes = {'image_size': IMAGE, 'grid_size': GRID}
+  shape, color = (infer.load(given[kind], kind, **sizes) for kind in ('shape', 'color'))
   rows = {4: 'ball', 5: 'egg', 11: 'egg'}  # 10 was never made
   scores = np.zeros((3, 3, 3))
   beaten = np.zeros((3, 3, 3))
@@ -115,13 +116,11 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     trained = [dataset.read_record(opened, r) for r in own]
     mean_shape = baselines.mean_shape([t.surface_index for t in trained], GRID)
     mean_color = np.concatenate([t.surface_color for t in trained]).mean(0) / 255
-    views = record.views.astype(np.float32) / 255
-    probability = np.asarray(reconstruct.estimate_shape(shape, views, grid_size=GRID))
-    colors = reconstruct.estimate_color(color, views, alpha=0.5, grid_size=GRID)
-    for v in range(3):
-      voxels = ColoredVoxels(probability[v] >= 0.8, np.asarray(colors.blended[v]))
+    results = infer.reconstruct(record.views, shape=shape, color=color, alpha=0.5)
+    for v, one in enumerate(infer.split(results)):
+      voxels = infer.to_voxels(one)
       assert voxels.occupancy.any()
-      iou = metrics.iou(probability[v] > 0.8, true.occupancy)
+      iou = metrics.iou(one.probability > 0.8, true.occupancy)
       scores[:, n, v] = (iou, *metrics.surface_psnr(voxels, true))
       plain = voxels._replace(color=np.broadcast_to(mean_color, voxels.color.shape))
       iou = metrics.iou(mean_shape, true.occupancy)
@@ -176,22 +175,22 @@ def test_color_alone_is_judged_on_the_true_shapes(tmp_path, given, capsys):
   assert 'true shapes' in capsys.readouterr().out
   assert report['models'] == 1 and report['networks']['total']['iou'] is None
   record = dataset.read_record(dataset.open_dataset(given['data']), 4)
-  color = checkpoint.load_network(given['color'], 'color')[1]
-  blended = reconstruct.estimate_color(
-    color, record.views.astype(np.float32) / 255, alpha=0.5, grid_size=GRID
-  ).blended
+  color = infer.load(given['color'], 'color', image_size=IMAGE, grid_size=GRID)
+  blended = infer.reconstruct(record.views, color=color, alpha=0.5).color
   true = _true(record)
   expected = [metrics.surface_psnr(true._replace(color=np.asarray(b)), true).rgb for b in blended]
   assert report['networks']['total']['psnr_rgb'] == pytest.approx(np.mean(expected), rel=1e-4)
 
 
 def test_views_without_voxels_are_counted_and_left_out(tmp_path, given, capsys, monkeypatch):
-  def nothing_at_90(variables, views, **_):
-    result = np.ones((len(views),) + (GRID,) * 3, np.float32)
-    result[1] = 0
-    return result
+  def nothing_at_90(views, **options):
+    probability = np.ones((len(views),) + (GRID,) * 3, np.float32)
+    probability[1] = 0
+    found = inner(views, **options)
+    return found._replace(probability=probability, occupancy=probability > 0)
 
-  monkeypatch.setattr(reconstruct, 'estimate_shape', nothing_at_90)
+  inner = infer.reconstruct
+  monkeypatch.setattr(infer, 'reconstruct', nothing_at_90)
   report = _evaluate(tmp_path, alpha=0.5, **given)
   found = report['networks']
   assert found['views_without_voxels'] == 3

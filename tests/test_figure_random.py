@@ -136,7 +136,7 @@ def test_results_are_the_predictors(given, monkeypatch):
   for row in (2, 3, 6, 7):
     record = dataset.read_record(opened, row)
     for view in record.views:
-      by_view[(view.astype(np.float32) / 255).tobytes()] = scoring.to_voxels(record, GRID)
+      by_view[view.tobytes()] = scoring.to_voxels(record, GRID)
 
   def make_predictor(plan, method, category, seed):
     return lambda views: [by_view[v.tobytes()] for v in views]

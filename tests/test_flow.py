@@ -250,7 +250,7 @@ def test_sampling_error_against_the_samplers(color, background):
   rgba = rng.integers(0, 256, (6, 7, 4), np.uint8)
   rgba[..., 3] = 255 * (rgba[..., 3] > 100)
   pixel = rng.uniform(0, [7, 6], (200, 2))
-  image = composite(rgba, background)[None]
+  image = composite(rgba, background=background)[None]
   flow = (pixel / [7, 6])[None].astype(np.float32)
   error = [
     np.linalg.norm(np.asarray(sample(image, flow)[0]) - np.array(color) / 255, axis=-1)

@@ -6,7 +6,6 @@ import synthetic
 from absl import flags
 
 from cvn import train
-from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import train as program
 
 SIZES = {'image_size': 32, 'grid_size': 16}  # the smallest that the networks can have
@@ -26,8 +25,6 @@ def made(monkeypatch):
 
   for name in made:
     monkeypatch.setattr(train, name, noting(name, getattr(train, name)))
-  networks = {'shape': ShapeNetwork(**SIZES), 'color': ColorNetwork(**SIZES)}
-  monkeypatch.setattr(train, 'NETWORKS', networks)
   monkeypatch.setattr(program, 'check_sizes', lambda dataset: None)
   monkeypatch.setattr(program, 'draw_views', lambda *_: np.zeros((8, 8, 3), np.uint8))
   return made

@@ -4,10 +4,13 @@ import os
 import shutil
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from absl import flags
+from flax import linen as nn
 
+from cvn.data import Batch
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import check_parity, golden
@@ -116,7 +119,7 @@ def _small(seed=0, steps=2):
   }
 
 
-def _train(arrays):
+def _gradients(arrays):
   params = {'trunk': {'encoder': {'conv0': {'kernel': np.zeros((2, 3)), 'bias': np.zeros(3)}}}}
   params = golden.draw_params(arrays, params)
 
@@ -125,43 +128,80 @@ def _train(arrays):
     # The bias has no effect, as in front of a normalisation.
     return ((layer['kernel'] - target) ** 2).sum() + 0 * layer['bias'].sum()
 
-  lines = check_parity.check_training(
-    arrays, params, loss, (np.ones((2, 3)),), gradient_tolerance=1e-3
-  )
+  lines = check_parity.check_gradients(arrays, params, loss, (np.ones((2, 3)),), tolerance=1e-3)
   return params['trunk']['encoder']['conv0']['kernel'], {line.name: line for line in lines}
 
 
-def test_training_quantities_against_a_closed_form():
-  kernel, lines = _train(_small())
+def test_gradients_against_a_closed_form():
+  kernel, lines = _gradients(_small())
   penalty = 1e-5 * np.abs(kernel).sum()
-  value = ((kernel - 1) ** 2).sum() + penalty
   gradient = 2 * (kernel - 1) + 1e-5 * np.sign(kernel)
   right = _small() | {
     'l1_penalty': np.float32(penalty),
-    'loss_total': np.float32(value),
+    'loss_total': np.float32(((kernel - 1) ** 2).sum() + penalty),
     'grad_l2': np.array([np.linalg.norm(gradient), 0]),
-    # Adam's first step is one of 3e-4 against the gradient's sign.
-    'adam_losses': np.array([value, ((kernel + 3e-4 - 1) ** 2).sum() + penalty], np.float32),
   }
-  _, lines = _train(right)
+  _, lines = _gradients(right)
   assert list(lines) == [
     'l1_penalty',
     'loss_total',
     'grad_l2/Encoding/conv1/weights',
     'grad_l2/Encoding/conv1/biases',
-    'adam_losses/0',
-    'adam_losses/1',
   ]
   assert _failures(lines.values()) == []
-  assert lines['adam_losses/1'].error < 1e-6
-  for key, place in (('grad_l2', 0), ('grad_l2', 1), ('adam_losses', 1)):
-    wrong = right[key].copy()
+  for place in (0, 1):
+    wrong = right['grad_l2'].copy()
     wrong[place] = wrong[place] * 1.002 + 2e-6
-    _, found = _train(right | {key: wrong})
+    _, found = _gradients(right | {'grad_l2': wrong})
     assert len(_failures(found.values())) == 1
   for key in ('l1_penalty', 'loss_total'):
-    _, found = _train(right | {key: right[key] + np.float32(1e-3)})
+    _, found = _gradients(right | {key: right[key] + np.float32(1e-3)})
     assert _failures(found.values()) == [key]
+
+
+class _Constant(nn.Module):
+  """A network whose output is its only parameter."""
+
+  image_size: int = 1
+
+  @nn.compact
+  def __call__(self, image, *, train):
+    self.variable('batch_stats', 'mean', jnp.zeros, (1,))
+    return self.param('kernel', nn.initializers.ones, (2, 3))
+
+
+def test_steps_against_a_closed_form():
+  kernel = np.random.default_rng(0).uniform(0.1, 0.9, (2, 3)).astype(np.float32)
+
+  def losses():
+    at = kernel.astype(np.float64)
+    for _ in range(2):
+      yield ((at - 1) ** 2).sum() + 1e-5 * np.abs(at).sum()
+      at = at + 3e-4  # Adam's first step is one of the learning rate against the gradient's sign
+
+  def check(expected):
+    batch = Batch(np.zeros((1, 1, 1, 3), np.float32), None, None, None)
+    arrays = {'adam_losses': np.array([*expected], np.float32)}
+    objective = lambda output, *_: (((output - 1) ** 2).sum(), {})  # noqa: E731
+    params = {'kernel': jnp.asarray(kernel)}
+    return [*check_parity.check_steps(arrays, _Constant(), objective, params, batch)]
+
+  lines = check(losses())
+  assert [line.name for line in lines] == ['adam_losses/0', 'adam_losses/1']
+  assert max(line.error for line in lines) < 1e-6
+  first, second = losses()
+  assert _failures(check([first, second * 1.002])) == ['adam_losses/1']
+
+
+def test_voxels_of_a_mask_come_as_in_a_batch():
+  mask = np.zeros((2, 4, 4, 4, 1), bool)
+  mask[0, 1, 2, 3], mask[0, 2, 0, 0], mask[1, 3, 3, 3] = True, True, True
+  index = golden.list_voxels(mask)
+  assert index.tolist() == [[[1, 2, 3], [2, 0, 0]], [[3, 3, 3], [255, 255, 255]]]
+  volume = np.arange(2 * 64 * 2, dtype=np.float32).reshape(2, 4, 4, 4, 2)
+  found = golden.at_voxels(volume, index)
+  np.testing.assert_array_equal(found[0, 0], volume[0, 1, 2, 3])
+  np.testing.assert_array_equal(found[1], [volume[1, 3, 3, 3], [0, 0]])
 
 
 def test_outputs_are_compared_at_the_stored_voxels():

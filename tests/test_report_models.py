@@ -11,7 +11,7 @@ import trimesh
 import workdirs
 from test_evaluate import save_network
 
-from cvn import data, reconstruct
+from cvn import data, infer
 from cvn.dataset import read_record
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments.lib import evaluation, scoring
@@ -95,12 +95,11 @@ def test_examples_hold_what_the_networks_make_of_the_view(given):
   pick, _ = report_models.choose(workdir, opened, per_category=1, seed=0)[0]
   record = read_record(opened.dataset, pick.row)
   shape, color = (
-    scoring.load(f'{workdir.path}/runs/{name}', [kind], opened.dataset).variables
+    scoring.load(f'{workdir.path}/runs/{name}', [kind], opened.dataset)
     for name, kind in (('msfcel_all_0', 'shape'), ('blended_all_0', 'color'))
   )
-  view = record.views[[pick.view]].astype(np.float32) / 255
-  probability = reconstruct.reconstruct(shape, color, view, grid_size=GRID).probability[0]
-  occupied = np.asarray(probability) >= 0.4
+  found = infer.reconstruct(record.views[pick.view], shape=shape, color=color, threshold=0.4)
+  occupied = np.asarray(found.occupancy)
   true = scoring.to_voxels(record, GRID).occupancy
   iou = (occupied & true).sum() / (occupied | true).sum()
   titles = [(m.title, m.note) for m in first.models]

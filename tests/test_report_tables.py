@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib.tables import Comparison
 from experiments.report import tables as report_tables
 from experiments.report.blocks import Cell, Items, Table

@@ -114,6 +114,6 @@ def test_methods_see_the_chosen_view_alone(tmp_path, monkeypatch):
   _, found = _reconstruct(tmp_path, '--models=all', '--against=flow', '--shapes=1')
   for results in found:
     for views in seen:
-      np.testing.assert_allclose(views, results.record.views[[results.pick.view]] / 255, rtol=1e-6)
+      np.testing.assert_array_equal(views, results.record.views[[results.pick.view]])
     assert len(seen) == 2
     seen.clear()

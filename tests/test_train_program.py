@@ -16,7 +16,7 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import checkpoint, data, grid, losses
+from cvn import checkpoint, data, grid, infer, losses, objectives
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
@@ -30,8 +30,8 @@ class TrainState(NamedTuple):
   step: Any
 
 
-def create_state(key, kind):
-  del kind
+def create_state(key, network):
+  del network
   params = {'w': jax.random.normal(key, (3,))}
   return TrainState(params, {'mean': jnp.zeros(3)}, optax.adam(1.0).init(params), jnp.int32(0))
 
@@ -44,8 +44,8 @@ def loss_of(params, batch):
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
-def make_step(kind, recipe, *, samples, mixed=False):
-  del kind, samples, mixed
+def make_step(network, objective, recipe, *, total_samples):
+  del network, objective, total_samples
   optimizer = optax.adam(recipe.learning_rate)
 
   @jax.jit
@@ -59,13 +59,13 @@ def make_step(kind, recipe, *, samples, mixed=False):
   return step
 
 
-def make_surface_step(recipe, **options):
-  return make_step('color', recipe, **options)
+def make_surface_step(network, recipe, **options):
+  return make_step(network, None, recipe, **options)
 
 
-def make_eval(kind, recipe):
-  del recipe
-  extra = {'iou': jnp.float32(0.5)} if kind == 'shape' else {}
+def make_eval(network, objective, recipe):
+  del network, recipe
+  extra = {'iou': jnp.float32(0.5)} if objective is objectives.shape else {}
   return jax.jit(lambda state, batch: {'loss': loss_of(state.params, batch), **extra})
 
 
@@ -115,7 +115,7 @@ def log_of(workdir):
 
 def arrays_of(workdir):
   """The newest checkpoint, all of it."""
-  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), ''))
+  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), None))
   return checkpoint.restore(str(workdir), template)
 
 
@@ -311,9 +311,7 @@ def test_the_configuration_is_known_before_the_run(made, tmp_path):
 def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path, monkeypatch):
   renewed = []
 
-  def make_statistics(kind, *, mixed):
-    del kind, mixed
-
+  def make_recalibration(_):
     def renew(state, batches):
       images = np.concatenate([data.decode(b).image for b in batches])
       renewed.append(len(images))
@@ -321,7 +319,7 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
 
     return renew
 
-  monkeypatch.setattr(program.train, 'make_statistics', make_statistics)
+  monkeypatch.setattr(program.train, 'make_recalibration', make_recalibration)
   run(made, tmp_path / 'run', '--fresh_statistics=3', '--validate_every=1', epochs=2)
   assert renewed == [6, 6]
   dataset = program.open_dataset(str(made))
@@ -376,9 +374,9 @@ def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
 def test_dtype_and_heads_reach_the_step(made, tmp_path, monkeypatch, dtype, heads, name):
   asked = []
 
-  def make(*args, mixed, **kwargs):
-    asked.append(mixed)
-    return make_step('color', args[-1], **kwargs)
+  def make(network, *args, **kwargs):
+    asked.append(network.mixed)
+    return make_step(network, None, args[-1], **kwargs)
 
   monkeypatch.setattr(program.train, name, make)
   run(made, tmp_path / 'run', f'--dtype={dtype}', f'--heads={heads}', network='color', epochs=1)
@@ -518,6 +516,6 @@ def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe, dtype
   _, expected = checkpoint.load_network(str(tmp_path / 'whole'), network)
   _, got = checkpoint.load_network(str(tmp_path / 'parts'), network)
   jax.tree.map(np.testing.assert_array_equal, got, expected)
-  estimate = getattr(program.reconstruct, f'estimate_{network}')
-  estimated = jax.tree.leaves(estimate(got, np.zeros((1, 128, 128, 4), np.float32)))
-  assert all(x.dtype == jnp.float32 and np.isfinite(x).all() for x in estimated)
+  loaded = infer.load(str(tmp_path / 'parts'), network)
+  estimated = infer.reconstruct(np.zeros((1, 128, 128, 4), np.float32), **{network: loaded})
+  assert all(np.isfinite(x).all() for x in jax.tree.leaves(estimated))

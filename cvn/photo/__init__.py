@@ -73,7 +73,7 @@ def load_photo(
   return Photo(view, alpha, source, warnings)
 
 
-def load_view(path: str, image_size: int = camera.IMAGE_SIZE) -> np.ndarray:
+def load_view(path: str, *, image_size: int = camera.IMAGE_SIZE) -> np.ndarray:
   """The view of `load_photo`, u8 [image_size, image_size, 4]; warnings go to the log."""
   photo = load_photo(path, image_size=image_size)
   for warning in photo.warnings:

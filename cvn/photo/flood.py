@@ -16,7 +16,7 @@ _SHADOW, _BRIGHTER = 0.35, 1.06  # shades of the ground, as parts of its brightn
 _LEAK = 1  # half the width of the holes in an edge that the flood does not pass, in pixels
 
 
-def estimate_noise(image):
+def estimate_noise(image: np.ndarray) -> float:
   """The standard deviation of the noise, from the calmer half of the picture's border."""
   width = max(2, round(0.03 * min(image.shape[:2])))
   residual = np.abs(image - ndimage.gaussian_filter(image, (1.5, 1.5, 0))).max(-1)
@@ -25,7 +25,7 @@ def estimate_noise(image):
   return float(np.median(residual[ring])) / 1.2
 
 
-def find_smooth(image, noise):
+def find_smooth(image: np.ndarray, noise: float) -> np.ndarray:
   """Where there is no edge.
 
   An edge answers to a band-pass filter by more than noise and more than a blurred one (a shadow's)
@@ -41,8 +41,18 @@ def find_smooth(image, noise):
   return (band <= limit + per_slope * slope)[margin:-margin, margin:-margin]
 
 
-def find_grounds(image, regions, smooth, noise):
-  """Masks of the ground: one, or two where wall and floor meet in a line across the picture."""
+def find_grounds(image: np.ndarray, smooth: np.ndarray, noise: float) -> list[np.ndarray]:
+  """Masks of the ground: one, or two where wall and floor meet in a line across the picture.
+
+  Args:
+    image: [H, W, 3].
+    smooth: [H, W], where there is no edge.
+    noise: its standard deviation.
+
+  Returns:
+    [H, W] bool each; empty where no smooth region touches the border.
+  """
+  regions, _ = ndimage.label(smooth)
   sides = [regions[0], regions[-1], regions[:, 0], regions[:, -1]]
   contact = np.bincount(np.concatenate(sides), minlength=regions.max() + 1)
   contact[0] = 0
@@ -76,7 +86,7 @@ def find_grounds(image, regions, smooth, noise):
 
 def _flood(image, model, own, smooth, noise, brightest):
   """Smooth shades of the ground that are connected to where it touches the border."""
-  shade = smooth & is_shade(image, model, noise, brightest)
+  shade = smooth & is_shade(image, model, noise, brightest=brightest)
   label, _ = ndimage.label(ndimage.binary_erosion(shade, np.ones((3, 3)), _LEAK, border_value=1))
   near = np.abs(image - model).max(-1) <= max(16, 3 * noise)
   edge = border(label)
@@ -103,8 +113,17 @@ def _fit(image, region):
   return np.clip(terms @ solution.astype(np.float32), 0, 255)
 
 
-def is_shade(image, model, noise, brightest=_BRIGHTER):
-  """Where a colour is the ground's, in shadow or a little brighter."""
+def is_shade(
+  image: np.ndarray, model: np.ndarray, noise: float, *, brightest: float = _BRIGHTER
+) -> np.ndarray:
+  """Where a colour is the ground's, in shadow or a little brighter.
+
+  Args:
+    image: [H, W, 3].
+    model: [H, W, 3], the ground's colour in full light.
+    noise: its standard deviation.
+    brightest: the largest brightness, as a part of the ground's.
+  """
   scale = (image * model).sum(-1) / np.maximum((model * model).sum(-1), 1)
   dark = model.max(-1) < 24
   scale = np.where(dark, 1, scale)
@@ -112,7 +131,7 @@ def is_shade(image, model, noise, brightest=_BRIGHTER):
   return (hue <= max(_HUE, 4 * noise)) & (scale >= _SHADOW) & (scale <= brightest)
 
 
-def extend(image, ground):
+def extend(image: np.ndarray, ground: np.ndarray) -> np.ndarray:
   """The ground's colour, smoothed a little, and beyond the ground that of its nearest pixel."""
   weight = ground.astype(np.float32)
   total = np.maximum(ndimage.gaussian_filter(weight, 2), 1e-6)

@@ -68,8 +68,7 @@ def _find(image):
   if noise > _NOISY or min(image.shape[:2]) < 4:
     return None
   smooth = find_smooth(image, noise)
-  regions, _ = ndimage.label(smooth)
-  grounds = find_grounds(image, regions, smooth, noise)
+  grounds = find_grounds(image, smooth, noise)
   if not grounds:
     return None
   ground = np.any(grounds, axis=0)

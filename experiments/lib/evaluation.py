@@ -8,7 +8,7 @@ from typing import Any
 
 from absl import flags
 
-from cvn import blending, checkpoint, data, methods, metrics
+from cvn import blending, checkpoint, data, metrics, readouts
 from cvn.dataset import SPLITS, Dataset, digest, open_dataset
 
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
@@ -27,7 +27,7 @@ def define_flags(f: flags.FlagValues) -> None:
     'threshold',
     None,
     "From which score on a voxel is occupied; 'val' chooses it on the split val. By default"
-    f' {metrics.OCCUPIED}, of r2n2 {methods.THRESHOLDS["r2n2"]}.',
+    f' {metrics.OCCUPIED}, of r2n2 {readouts.THRESHOLDS["r2n2"]}.',
     **own,
   )
   flags.DEFINE_string(
@@ -80,7 +80,7 @@ def make_options(f: flags.FlagValues, dataset: Dataset) -> dict[str, Any]:
   `runs` tells of each network the configuration and the step of its checkpoint. The digest is of
   the models of all splits: thresholds are chosen on val, baselines are made of train.
   """
-  rows = [row for s in SPLITS for row in data.select_rows(dataset, s, f.category)]
+  rows = [row for s in SPLITS for row in data.select_rows(dataset, s, categories=f.category)]
   names = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
   reference = {}
   if f.reference_data:

@@ -51,7 +51,7 @@ def choose(
   rng = np.random.default_rng(seed)
   picks = []
   for category in categories:
-    rows = data.select_rows(dataset, 'test', [category], sources)
+    rows = data.select_rows(dataset, 'test', categories=[category], sources=sources)
     for row in rng.permutation(rows)[:per_category]:
       picks.append(of(dataset, row, rng.integers(len(dataset.manifest.azimuths))))
   if not picks:

@@ -16,7 +16,7 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import figures
+from cvn import figures, infer
 from cvn.dataset import Dataset, read_record
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
@@ -35,7 +35,6 @@ class Shown(NamedTuple):
   """What the data set has of a pick."""
 
   view: np.ndarray  # [H, W, 4] u8
-  batch: np.ndarray  # the same as networks take it: [1, H, W, 4] in [0, 1]
   true: ColoredVoxels
 
 
@@ -65,7 +64,7 @@ def read(dataset: Dataset, pick: Pick) -> Shown:
   record = read_record(dataset, pick.row)
   view = record.views[pick.view]
   true = scoring.to_voxels(record, dataset.manifest.grid_size)
-  return Shown(view, view[None].astype(np.float32) / 255, true)
+  return Shown(view, true)
 
 
 def by_category(
@@ -121,7 +120,10 @@ def draw_results(
     predictors = by_category(
       plan, categories, lambda c, m=method: protocol.make_predictor(plan, m, c, plan.seeds[0])
     )
-    add(predictors[c](k.batch)[0] for c, k in zip(categories, known, strict=True))
+    add(
+      infer.to_voxels(predictors[c](k.view[None])[0])
+      for c, k in zip(categories, known, strict=True)
+    )
   add(k.true for k in known)
   titles = ['input']
   for title in (*map(title_of, methods), 'truth'):

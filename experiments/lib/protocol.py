@@ -18,10 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from absl import flags
 
-from cvn import methods
-from cvn.dataset import Manifest, open_dataset
+from cvn import infer
+from cvn.dataset import open_dataset
 from cvn.errors import UserError
-from cvn.grid import ColoredVoxels
+from cvn.infer import Network, Reconstruction
+from cvn.readouts import COLOR_KINDS, SHAPE_KINDS
 from experiments.lib import runs, scoring
 from experiments.lib.methods import METHODS, TRAININGS
 from experiments.lib.runs import Run
@@ -198,56 +199,49 @@ def evaluate(
   )
 
 
-class Networks(NamedTuple):
-  """What a method reconstructs with."""
-
-  shape: scoring.Network
-  color: scoring.Network
-  threshold: float  # from which score on a voxel is occupied
-  alpha: float  # of the blend
+Predictor = Callable[[np.ndarray], list[Reconstruction]]  # of views [V, H, W, 4]
 
 
-def load(plan: Plan, method: str, category: str, seed: str) -> Networks:
-  """A method's networks; trains and evaluates what it needs.
+def make_predictor(plan: Plan, method: str, category: str, seed: str) -> Predictor:
+  """A method as a function of views to their reconstructions; trains and evaluates what it needs.
 
   Arguments as of `evaluate`; the method must give colours.
   """
   own = METHODS[method]
   dataset = open_dataset(plan.data)
   report = evaluate(plan, method, category, seed)
-  shape, color = (
-    scoring.load(train(plan, training, category, seed).workdir, kinds, dataset)
-    for training, kinds in (
-      (own.shape, methods.SHAPE_KINDS),
-      (own.color, methods.COLOR_KINDS),
-    )
-  )
-  return Networks(shape, color, report['threshold'], report['alpha'])
+
+  def load(name, kinds):
+    return scoring.load(train(plan, name, category, seed).workdir, kinds, dataset)
+
+  shape = load(own.shape, SHAPE_KINDS)
+  color = shape if own.color == own.shape else load(own.color, COLOR_KINDS)
+  options = {'threshold': report['threshold'], 'alpha': report['alpha']}
+  return bind(method, shape, color, azimuths=dataset.manifest.azimuths, **options)
 
 
-def make_predictor(
-  plan: Plan, method: str, category: str, seed: str
-) -> Callable[[np.ndarray], list[ColoredVoxels]]:
-  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+def bind(
+  method: str,
+  shape: Network,
+  color: Network,
+  *,
+  threshold: float,
+  alpha: float,
+  azimuths: Sequence[float],
+) -> Predictor:
+  """A method with its networks.
 
-  Arguments as of `load`.
+  Args:
+    method: a key of `METHODS`.
+    shape: its network for shapes.
+    color: its network for colours.
+    threshold: of occupancy.
+    alpha: of the blend.
+    azimuths: of the data set's views, degrees.
   """
-  networks = load(plan, method, category, seed)
-  manifest = open_dataset(plan.data).manifest
-  return lambda views: predict(method, networks, views, manifest)
-
-
-def predict(
-  method: str, networks: Networks, views: np.ndarray, manifest: Manifest
-) -> list[ColoredVoxels]:
-  """What a method makes of views [V, H, W, 4] in [0, 1] of a data set."""
-  own = METHODS[method]
-  shape, color, threshold, alpha = networks
-  scores = scoring.score_views(manifest, shape, views, flip=own.flip, carve=own.carve)
-  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip}
-  options['grid_size'] = manifest.grid_size
-  colors = methods.colors(color.kind, color.variables, views, **options)
-  return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
+  options = {'threshold': threshold, 'alpha': alpha, 'azimuths': azimuths}
+  options |= {'flip': METHODS[method].flip, 'carve': METHODS[method].carve}
+  return lambda views: infer.split(infer.reconstruct(views, shape=shape, color=color, **options))
 
 
 def trained_for(plan: Plan, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:

@@ -160,7 +160,7 @@ def configuration(**named: Any) -> dict[str, Any]:
   f(['train', *(f'--{k}={v}' for k, v in named.items())])
   resolve_dtype(f)
   dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, 'train', f.category, f.source)
+  rows = data.select_rows(dataset, 'train', categories=f.category, sources=f.source)
   return make_config(f, make_recipe(f), dataset, rows)
 
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvn import machine
 from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, surface_counts, to_url
+from cvn.ops import compile as compiling
 from experiments.report.blocks import Cell, Table
 from experiments.report.results import Workdir
 
@@ -91,7 +91,7 @@ def versions_table() -> Table:
   """Packages and the machine that made the report."""
   system = f'{platform.system()} {platform.machine()}, Python {platform.python_version()}'
   rows = [
-    ('machine', [Cell(f'{machine.processor()}, {os.cpu_count()} cores')]),
+    ('machine', [Cell(f'{compiling.processor_name()}, {os.cpu_count()} cores')]),
     ('system', [Cell(system)]),
   ]
   for package in PACKAGES:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
-from cvn import export, figures, methods, metrics
+from cvn import export, figures, infer, metrics, readouts
 from cvn.dataset import Dataset, read_record, to_url
 from cvn.grid import ColoredVoxels
 from experiments.lib import evaluation, picks, protocol, scoring
@@ -102,14 +102,15 @@ def _make(
   true = scoring.to_voxels(record, manifest.grid_size)
   shown: list[tuple[str, str, ColoredVoxels]] = []
   for method, score in scores.items():
-    networks = protocol.Networks(
-      load(score.shape, methods.SHAPE_KINDS),
-      load(score.color, methods.COLOR_KINDS),
-      score.threshold,
-      score.alpha,
+    predict = protocol.bind(
+      method,
+      load(score.shape, readouts.SHAPE_KINDS),
+      load(score.color, readouts.COLOR_KINDS),
+      threshold=score.threshold,
+      alpha=score.alpha,
+      azimuths=manifest.azimuths,
     )
-    batch = view[None].astype(np.float32) / 255
-    (found,) = protocol.predict(method, networks, batch, manifest)
+    found = infer.to_voxels(predict(view[None])[0])
     iou = float(metrics.iou(found.occupancy, true.occupancy))
     shown.append((SHOWN[method], f'threshold {score.threshold:.2f}, IoU {iou:.2f}', found))
   shown.append(('truth', '', true))
@@ -148,5 +149,5 @@ def _located(workdir: Workdir, score: Score) -> Score:
   return score._replace(shape=find(score.shape), color=find(score.color))
 
 
-def _load(folder: str, kinds: Sequence[str], *, dataset: Dataset) -> scoring.Network:
+def _load(folder: str, kinds: Sequence[str], *, dataset: Dataset) -> infer.Network:
   return scoring.load(folder, kinds, dataset)

@@ -18,7 +18,7 @@ from typing import Any
 from PIL import Image
 
 from cvn.errors import UserError
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import differences, protocol
 from experiments.lib.runs import Run
 from experiments.lib.stages import read_bytes, read_json

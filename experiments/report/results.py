@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib.tables import Comparison
 
 # Of models, in words.

@@ -4,7 +4,7 @@ import math
 import statistics
 from collections.abc import Sequence
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import protocol
 from experiments.lib.evaluation import ALPHAS
 from experiments.lib.tables import AVERAGE, Comparison

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 from absl import flags
 
+from cvn import infer
 from cvn.dataset import Record, open_dataset, read_record
 from cvn.grid import ColoredVoxels
 from experiments.lib import picks, pictures, protocol, runs
@@ -69,8 +69,9 @@ def reconstruct(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> It
     predictors = {m: protocol.make_predictor(plan, m, trained, plan.seeds[0]) for m in methods}
     for pick in (p for p in shown if p.model.category in judged):
       record = read_record(dataset, pick.row)
-      view = record.views[[pick.view]].astype(np.float32) / 255
-      yield Results(pick, record, {m: predict(view)[0] for m, predict in predictors.items()})
+      view = record.views[[pick.view]]
+      found = {m: infer.to_voxels(predict(view)[0]) for m, predict in predictors.items()}
+      yield Results(pick, record, found)
 
 
 def describe_networks(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> dict[str, Any]:

@@ -19,10 +19,11 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, environment, errors, figures, metrics, reconstruct, sampler
+from cvn import data, environment, errors, figures, infer, metrics, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
+from cvn.infer import Network
 from experiments.lib import picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
@@ -58,7 +59,9 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   """
   dataset = open_dataset(plan.data)
   size = dataset.manifest.grid_size
-  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
+  rows = data.select_rows(
+    dataset, 'test', categories=protocol.categories(plan), sources=plan.sources
+  )
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   view = int(np.argmin([abs(a - VIEW) for a in dataset.manifest.azimuths]))
@@ -67,7 +70,7 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   record = read_record(dataset, row)
   found = pictures.find_runs(plan, [pick], (METHOD,), trainings=(TRAINING,))
   network = scoring.load(found[pick.model.category][TRAINING].workdir, ['color'], dataset)
-  flows = {'target': record.flow[view], 'estimated': estimate(network, record, view, size)}
+  flows = {'target': record.flow[view], 'estimated': estimate(network, record, view)}
   hidden, counterpart = find_pairs(record, view, size).T
   pixels = dataset.manifest.image_size
   gaps = {k: pixels * distance(x[hidden], x[counterpart]) for k, x in flows.items()}
@@ -120,11 +123,10 @@ def distance(flow: np.ndarray, other: np.ndarray) -> float:
   return float(np.median(np.linalg.norm(flow - other, axis=-1))) if len(flow) else 0.0
 
 
-def estimate(network: scoring.Network, record: Record, view: int, grid_size: int) -> np.ndarray:
+def estimate(network: Network, record: Record, view: int) -> np.ndarray:
   """The network's flow at the true surface voxels, [S, 2]."""
-  image = record.views[view][None].astype(np.float32) / 255
-  found = reconstruct.estimate_color(network.variables, image, grid_size=grid_size)
-  return np.asarray(found.flow)[0][tuple(record.surface_index.T)]
+  found = infer.reconstruct(record.views[view], color=network)
+  return np.asarray(found.flow)[tuple(record.surface_index.T)]
 
 
 def draw(

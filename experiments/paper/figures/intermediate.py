@@ -12,14 +12,13 @@ the figure goes to WORKDIR/figures/intermediate.png.
 import os
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, environment, errors, figures, reconstruct
+from cvn import environment, errors, figures, infer
 from cvn.dataset import open_dataset
-from cvn.grid import ColoredVoxels
+from cvn.infer import Reconstruction
 from experiments.lib import picks, pictures, protocol
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
@@ -69,46 +68,39 @@ def draw(plan: Plan, shown: Sequence[Pick], *, tile: int) -> np.ndarray:
   """The figure: a row for each pick, and the legend; trains and evaluates what is missing."""
   dataset, seed = open_dataset(plan.data), plan.seeds[0]
   categories = picks.categories_of(shown)
-  predictors = pictures.by_category(
-    plan, categories, lambda c: protocol.make_predictor(plan, BASELINE, c, seed)
+  baseline, ours = (
+    pictures.by_category(
+      plan, categories, lambda c, m=method: protocol.make_predictor(plan, m, c, seed)
+    )
+    for method in (BASELINE, METHOD)
   )
-  networks = pictures.by_category(plan, categories, lambda c: protocol.load(plan, METHOD, c, seed))
   rows = []
   for pick in tqdm(shown, desc='draw', unit='model', disable=None):
     known = pictures.read(dataset, pick)
-    baseline = predictors[pick.model.category](known.batch)[0]
-    rows.append(draw_row(pick, known, baseline, networks[pick.model.category], tile=tile))
+    results = [predict[pick.model.category](known.view[None])[0] for predict in (baseline, ours)]
+    rows.append(draw_row(pick, known, *results, tile=tile))
   return figures.stack([pictures.arrange(rows, TITLES, shown), draw_legend(tile // 2)])
 
 
 def draw_row(
   pick: Pick,
   shown: pictures.Shown,
-  baseline: ColoredVoxels,
-  networks: protocol.Networks,
+  baseline: Reconstruction,
+  ours: Reconstruction,
   *,
   tile: int,
 ) -> list[np.ndarray]:
   """The pictures of one pick, as `TITLES` names them."""
-  batch = reconstruct.reconstruct(
-    networks.shape.variables,
-    networks.color.variables,
-    shown.batch,
-    alpha=networks.alpha,
-    grid_size=len(shown.true.occupancy),
-  )
-  one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-  voxels = reconstruct.to_voxels(one, networks.threshold)
-  weight = np.asarray(blending.recalculate_weight(one.weight, networks.alpha))
+  voxels = infer.to_voxels(ours)
   volumes = (
-    figures.flow_color_code(one.flow),
-    one.sampled,
-    one.regressed,
-    figures.weight_color_code(weight),
+    figures.flow_color_code(ours.flow),
+    ours.sampled,
+    ours.regressed,
+    figures.weight_color_code(ours.weight),
   )
   return [
     figures.enlarge(shown.view, tile),
-    pictures.draw(baseline, pick, tile=tile),
+    pictures.draw(infer.to_voxels(baseline), pick, tile=tile),
     *(pictures.draw(voxels._replace(color=v), pick, tile=tile) for v in volumes),
     *(pictures.draw(voxels, pick, tile=tile, turn=turn) for turn in RESULT_TURNS),
     pictures.draw(shown.true, pick, tile=tile),

@@ -14,10 +14,11 @@ import matplotlib.figure
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, environment, errors, methods, metrics
+from cvn import data, environment, errors, metrics
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.files import atomic_write
+from cvn.readouts import SHAPE_KINDS
 from experiments.lib import differences, pictures, protocol, runs, scoring
 from experiments.lib.protocol import Plan
 
@@ -47,13 +48,13 @@ def make_figure(plan: Plan) -> None:
   dataset = open_dataset(plan.data)
   curves, used = {}, []
   for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan)):
-    rows = data.select_rows(dataset, 'val', judged, plan.sources)
+    rows = data.select_rows(dataset, 'val', categories=judged, sources=plan.sources)
     if len(rows) == 0:
       raise UserError(f'{plan.data} has no finished model in the split val of {", ".join(judged)}')
     for method in METHODS:
       run = protocol.train(plan, protocol.METHODS[method].shape, trained_on, plan.seeds[0])
       used.append(run)
-      shape = scoring.load(run.workdir, methods.SHAPE_KINDS, dataset)
+      shape = scoring.load(run.workdir, SHAPE_KINDS, dataset)
       progress = tqdm(rows, desc=f'{method}, {trained_on}', unit='model', disable=None)
       thresholds, iou = scoring.threshold_curve(dataset, progress, shape)
       curves.setdefault(trained_on, {})[method] = {

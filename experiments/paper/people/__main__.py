@@ -17,17 +17,17 @@ by K-means, each colour counting once; a view's complexity is the number of clus
 import os
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import complexity, data, environment, errors, figures, reconstruct
+from cvn import data, environment, errors, figures
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import complexity
 from experiments.lib import picks, pictures, protocol, runs, scoring, tables
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 from experiments.lib.runs import Run
 from experiments.lib.tables import Result
 from experiments.paper.people import analysis, plots, summary
@@ -80,15 +80,15 @@ def run(f: flags.FlagValues) -> None:
   plots.plot_complexity(
     f'{stem}_complexity.png', title, study.analysis.by_complexity, study.tested, colors.complexity
   )
-  rows = data.select_rows(dataset, 'test', [category], plan.sources)
+  rows = data.select_rows(dataset, 'test', categories=[category], sources=plan.sources)
   rng = np.random.default_rng(f.figure_seed)
   rows = rng.permutation(rows)[: f.people]
   views = rng.integers(len(dataset.manifest.azimuths), size=len(rows))
   shown = [picks.of(dataset, *x) for x in zip(rows, views, strict=True)]
-  networks = protocol.load(plan, METHOD, scope_of(plan, category), plan.seeds[0])
+  predict = protocol.make_predictor(plan, METHOD, scope_of(plan, category), plan.seeds[0])
   facts = {'figure_seed': f.figure_seed, 'rows': [picks.to_json(p) for p in shown]}
   caption = f'{pictures.say_choice(f.figure_seed)} {CAPTION}'
-  pictures.write(f'{stem}_results', draw_results(dataset, shown, networks), caption, facts)
+  pictures.write(f'{stem}_results', draw_results(dataset, shown, predict), caption, facts)
   print('\n' + '\n'.join(f'{stem}_{k}.png' for k in FIGURES))
   tables.finish(plan.workdir, 'people', summary.to_json(study), results)
 
@@ -112,12 +112,12 @@ def read_colors(
   Args:
     dataset: the open data set.
     category: of the models.
-    t1, clusters, t2: as of cvn.complexity.
+    t1, clusters, t2: as of cvn.evaluation.complexity.
 
   Raises:
     UserError: there is none, or no colour has t1 pixels.
   """
-  rows = np.concatenate([data.select_rows(dataset, s, [category]) for s in SPLITS])
+  rows = np.concatenate([data.select_rows(dataset, s, categories=[category]) for s in SPLITS])
   if len(rows) == 0:
     raise UserError(f'{dataset.root} has no finished {category} (make some: datagen.generate)')
   palettes = [
@@ -181,26 +181,16 @@ def describe_network(run: Run) -> str:
   )
 
 
-def draw_results(
-  dataset: Dataset, shown: Sequence[Pick], networks: protocol.Networks
-) -> np.ndarray:
+def draw_results(dataset: Dataset, shown: Sequence[Pick], predict: Predictor) -> np.ndarray:
   """Reconstructions of some test models, a row each."""
   size = dataset.manifest.grid_size
   rows = []
   for pick in tqdm(shown, desc='draw', unit='model', disable=None):
     record = read_record(dataset, pick.row)
-    batch = reconstruct.reconstruct(
-      networks.shape.variables,
-      networks.color.variables,
-      record.views[[pick.view]].astype(np.float32) / 255,
-      alpha=networks.alpha,
-      grid_size=size,
-    )
-    one = jax.tree.map(lambda x: np.asarray(x)[0], batch)
-    voxels = reconstruct.to_voxels(one, networks.threshold)
-    true = scoring.to_voxels(record, size)
     view = record.views[pick.view]
-    rows.append(plots.draw_result(view, pick.azimuth, one, voxels, true, size=TILE))
+    (found,) = predict(view[None])
+    true = scoring.to_voxels(record, size)
+    rows.append(plots.draw_result(view, pick.azimuth, found, true, size=TILE))
   return figures.grid_of_images(
     rows,
     column_titles=plots.TITLES,

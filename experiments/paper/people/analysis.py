@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvn import complexity, intervals
 from cvn.errors import UserError
-from cvn.intervals import Estimate
+from cvn.evaluation import complexity, intervals
+from cvn.evaluation.intervals import Estimate
 
 SIDES, FRONT_AND_BACK = (90, 270), (0, 180)  # degrees
 GROUPS = 6  # of views by complexity, of about as many views each
@@ -24,7 +24,7 @@ class Colors(NamedTuple):
   retained: int  # of them, for the clusters
   coverage: float  # the share of foreground pixels that have a retained colour
   clusters: int  # fewer than asked for where so few colours are retained
-  t1: int  # as of cvn.complexity
+  t1: int  # as of cvn.evaluation.complexity
   t2: int
 
 
@@ -89,7 +89,7 @@ def group_by_complexity(complexities: np.ndarray, iou: np.ndarray) -> list[Group
       int(complexities[group == g].max()),
       int(np.sum(group == g)),
       int(np.sum((group == g).any(1))),
-      intervals.mean(iou, group == g),
+      intervals.mean(iou, chosen=group == g),
     )
     for g in range(group.max() + 1)
   ]
@@ -102,7 +102,7 @@ def measure_colors(
 
   Args:
     palettes: [N][V] of the views' foreground.
-    t1, clusters, t2: as of cvn.complexity.
+    t1, clusters, t2: as of cvn.evaluation.complexity.
 
   Raises:
     UserError: no colour has t1 pixels.

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import matplotlib.figure
 import numpy as np
 
-from cvn import figures
+from cvn import figures, infer
+from cvn.evaluation.intervals import Estimate
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
-from cvn.intervals import Estimate
-from cvn.reconstruct import Reconstruction
+from cvn.infer import Reconstruction
 from experiments.paper.people.analysis import Group
 
 COLOR, DPI = '#1f5fa8', 110
@@ -87,7 +87,6 @@ def draw_result(
   view: np.ndarray,
   azimuth: float,
   reconstruction: Reconstruction,
-  voxels: ColoredVoxels,
   true: ColoredVoxels,
   *,
   size: int,
@@ -98,7 +97,6 @@ def draw_result(
     view: [H, W, 4] u8.
     azimuth: of the view, degrees.
     reconstruction: of this one view, numpy.
-    voxels: its result.
     true: the model.
     size: of each picture in pixels.
   """
@@ -106,6 +104,7 @@ def draw_result(
   def draw(shown, turn):
     return figures.draw_voxels(shown, azimuth + turn, size=size)
 
+  voxels = infer.to_voxels(reconstruction)
   codes = (
     figures.flow_color_code(reconstruction.flow),
     figures.weight_color_code(reconstruction.weight),

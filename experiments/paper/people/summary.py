@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvn import intervals
-from cvn.intervals import Estimate
+from cvn.evaluation import intervals
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import markdown
 from experiments.paper.people.analysis import FRONT_AND_BACK, SIDES, Analysis, Colors, Group
 
@@ -100,7 +100,7 @@ def to_json(s: Study) -> dict[str, Any]:
 
 
 def _mean(values):
-  return intervals.mean(values, ~np.isnan(values))
+  return intervals.mean(values, chosen=~np.isnan(values))
 
 
 def _range(g: Group) -> str:
