@@ -226,7 +226,6 @@ def check_size(arrays: dict[str, ts.TensorStore], record: Record) -> None:
 
   Args:
     arrays: of the data set, see `open_arrays`.
-    row: of the model.
     record: the model.
 
   Raises:
@@ -239,6 +238,11 @@ def check_size(arrays: dict[str, ts.TensorStore], record: Record) -> None:
 
 def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) -> None:
   """Writes one model; a reader sees it only once all of it is there.
+
+  Args:
+    arrays: of the data set, see `open_arrays`.
+    row: of the model.
+    record: the model.
 
   Raises:
     UserError: the record does not fit (`check_size`), or the place cannot be written (no space).

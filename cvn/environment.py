@@ -38,7 +38,11 @@ def prepare() -> None:
 
 
 def check_platforms() -> None:
-  """Ends the process if the user asks for a platform without a device."""
+  """Ends the process if the user asks for a platform without a device.
+
+  Raises:
+    SystemExit: with the one line to print.
+  """
   asked = jax.config.jax_platforms
   if not asked:
     return

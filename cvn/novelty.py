@@ -40,5 +40,6 @@ def feature_deviation(variables: Any, views: Any, *, background: float = GREY) -
   )
   code = found['intermediates'][last]['__call__'][0]
   layer, norm = params['latent0'], stats['latent0']['norm']
-  before = code @ layer['kernel'] + layer['bias']
-  return jnp.mean((before - norm['mean']) ** 2 / (norm['var'] + _EPSILON), -1)
+  mean = (norm['mean'] - layer['bias'])[None]
+  deviation = (code @ layer['kernel'] - mean) ** 2 / (norm['var'] + _EPSILON)[None]
+  return jnp.mean(deviation, -1)
