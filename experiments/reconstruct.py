@@ -107,9 +107,9 @@ def run(f: flags.FlagValues) -> int:
       found = photos.how_unusual(path, picture.view, shape)
       for warning in (*picture.warnings, *found):
         tqdm.write(f'warning: {warning}', sys.stderr)
-      photos.write_mask(f'{stems[path]}_mask.png', picture)
       options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve', 'up')}
       count = reconstruct_view(picture.view, stems[path], shape, color, **options)
+      photos.write_mask(f'{stems[path]}_mask.png', picture)
     except UserError as e:
       failures += 1
       tqdm.write(f'error: {path}: {str(e).removeprefix(path).lstrip(": ")}', sys.stderr)

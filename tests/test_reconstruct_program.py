@@ -88,6 +88,33 @@ def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
       assert panel.width > panel.height
 
 
+def test_a_folder_with_doubts_and_masks(tmp_path, workdirs, capsys):
+  one = _picture(tmp_path / 'in' / 'one.png', (200, 30, 40))
+  with Image.open(one) as image:
+    two = np.asarray(image).copy()
+  two[40:130, 140:190] = (30, 150, 220)
+  Image.fromarray(two).save(tmp_path / 'in' / 'two.png')
+  common = {'threshold': 0.3, **workdirs}
+  assert _run(image=tmp_path / 'in', output=tmp_path / 'out', up='z', **common) == 0
+  stdout, stderr = capsys.readouterr()
+  assert 'one.png -> ' in stdout and 'object by ground' in stdout
+  assert f'warning: {tmp_path}/in/two.png shows 2 separate parts' in stderr
+  with Image.open(tmp_path / 'out' / 'one_mask.png') as mask:
+    expected = np.zeros((150, 200), bool)
+    expected[30:130, 60:120] = True
+    np.testing.assert_array_equal(np.asarray(mask) > 0, expected)
+  # The mask that was written is one that can be given.
+  given = {'image': one, 'mask': tmp_path / 'out' / 'one_mask.png', **common}
+  assert _run(output=tmp_path / 'again', **given) == 0
+  assert 'object by mask' in capsys.readouterr().out
+  for name in ('one.glb', 'one_mask.png'):
+    assert (tmp_path / 'out' / name).read_bytes() == (tmp_path / 'again' / name).read_bytes()
+  with pytest.raises(UserError, match='overwrite'):
+    _run(output=tmp_path / 'out', **given)
+  with pytest.raises(UserError, match='1 files for 2 pictures'):
+    _run(output=tmp_path / 'x', **given | {'image': tmp_path / 'in'})
+
+
 def test_mirrored_and_carved(tmp_path, workdirs, monkeypatch):
   picture = str(tmp_path / 'a.png')
   image = np.full((160, 160, 3), 245, np.uint8)
