@@ -82,11 +82,13 @@ def missing() -> str:
 def wins(operation: str, *, mixed: bool) -> bool:
   """Whether a kernel is available, and at least as fast as the plain product on this processor.
 
+  None is built for a process that computes on an accelerator.
+
   Args:
     operation: 'deconv', 'conv', 'conv2d' or 'activated', with the gradients.
     mixed: whether volumes, or the factors of conv2d, are bfloat16.
   """
-  found = library()
+  found = library() if jax.default_backend() == 'cpu' else None
   if found is None:
     return False
   times = found.timings.get(operation, {}).get('mixed' if mixed else 'float32')

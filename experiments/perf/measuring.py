@@ -101,6 +101,7 @@ def describe_machine() -> dict[str, Any]:
   return {
     'processor': processor(),
     'cores': os.cpu_count(),
+    'platform': device.platform,
     'devices': f'{len(jax.devices())} x {device.device_kind}',
     'compiled kernels': library and f'{library.instruction_set} ({library.origin})',
     'versions': {
