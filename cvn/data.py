@@ -128,7 +128,9 @@ def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBat
     UserError: the model's files are damaged.
   """
   a = dataset.arrays
-  return ShapeBatch(*_read(dataset, row, a['views'][row, view], a['surface_index'][row, :slots]))
+  return ShapeBatch(
+    *dataset_lib.read_parts(dataset, row, a['views'][row, view], a['surface_index'][row, :slots])
+  )
 
 
 def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
@@ -139,7 +141,7 @@ def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
   """
   a = dataset.arrays
   return Batch(
-    *_read(
+    *dataset_lib.read_parts(
       dataset,
       row,
       a['views'][row, view],
@@ -307,14 +309,3 @@ def iterate(batches: grain.MapDataset, num_epochs: int | None = None) -> grain.D
 def _reader(read, dataset):
   one = functools.partial(read, dataset, slots=surface_slots(dataset))
   return lambda pair: one(*pair)
-
-
-def _read(dataset, row, *parts):
-  """Reads slices of the arrays of one model at the same time."""
-  try:
-    return [r.result() for r in [p.read() for p in parts]]
-  except ValueError as e:
-    name, reason = dataset.manifest.models[row].id, str(e).split('\n', 1)[0].split(' [', 1)[0]
-    raise UserError(
-      f'{dataset.root}: the files of model {name} are damaged ({reason}): make the data set again'
-    ) from e

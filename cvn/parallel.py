@@ -1,0 +1,187 @@
+"""Data parallelism: one training on all devices of all processes.
+
+Every process runs the same program and holds the whole state; a batch is one array, spread over the
+devices of all processes, of which a process reads its own part. So losses, gradients and batch
+statistics are those of the whole batch, and JAX adds what it takes for that between devices.
+
+All processes see the same files: checkpoints are written by all of them, everything else by the
+first. If one of them dies the others end, too, and the same command goes on from the checkpoint.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
+import traceback
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+
+from cvn.errors import UserError
+
+
+class Placement(NamedTuple):
+  """Where arrays lie."""
+
+  parts: NamedSharding  # a batch, in equal parts
+  whole: NamedSharding  # the same on every device
+
+
+def connect(
+  coordinator: str | None = None, num_processes: int | None = None, process_id: int | None = None
+) -> None:
+  """Joins the other processes of a training, before anything is computed.
+
+  Without arguments JAX looks for a cluster (Slurm, Open MPI, Kubernetes, Cloud TPU); where there is
+  none the process stays alone.
+
+  Args:
+    coordinator: 'HOST:PORT' of the first process.
+    num_processes: how many there are; 1 looks for no cluster.
+    process_id: this one's number, from 0.
+
+  Raises:
+    UserError: the arguments do not fit, or the others do not come.
+  """
+  given = [x is not None for x in (coordinator, num_processes, process_id)]
+  if num_processes == 1 and not coordinator:
+    return
+  if any(given) and not all(given):
+    raise UserError('--coordinator, --num_processes and --process_id go together')
+  try:
+    jax.distributed.initialize(coordinator, num_processes, process_id)
+  except ValueError as e:
+    if any(given):
+      raise UserError(f'cannot join {coordinator}: {e}') from e
+  except RuntimeError as e:
+    line = str(e).split('\n', 1)[0]
+    raise UserError(
+      f'cannot join the other processes ({line}); --num_processes=1 trains in this one alone'
+    ) from e
+
+
+def is_first() -> bool:
+  """Whether this process writes what only one writes: logs, pictures, configurations."""
+  return jax.process_index() == 0
+
+
+def local_batch(batch_size: int) -> int:
+  """How many elements of a batch this process reads.
+
+  Raises:
+    UserError: the batch does not divide.
+  """
+  devices = jax.device_count()
+  if batch_size % devices:
+    low, high = batch_size // devices * devices, -(-batch_size // devices) * devices
+    sizes = f'{low} or {high}' if low else str(high)
+    raise UserError(
+      f'a batch of {batch_size} cannot be spread evenly over {devices} devices: take'
+      f' --batch_size={sizes}'
+    )
+  return batch_size // devices * jax.local_device_count()
+
+
+def make_placement() -> Placement:
+  """All devices of all processes, as one axis."""
+  mesh = jax.make_mesh((jax.device_count(),), ('batch',), axis_types=(AxisType.Auto,))
+  return Placement(
+    NamedSharding(mesh, PartitionSpec('batch')), NamedSharding(mesh, PartitionSpec())
+  )
+
+
+def put_batch(placement: Placement, batch: Any) -> Any:
+  """This process's part of a batch, as NumPy arrays, becomes the batch on all devices."""
+  return jax.tree.map(
+    lambda x: jax.make_array_from_process_local_data(placement.parts, np.asarray(x)), batch
+  )
+
+
+def put_whole(placement: Placement, tree: Any) -> Any:
+  """Arrays that all processes have become the same on every device."""
+  return jax.tree.map(
+    lambda x: jax.make_array_from_process_local_data(placement.whole, np.asarray(x), x.shape), tree
+  )
+
+
+def local(tree: Any) -> Any:
+  """This process's own copy of arrays that are the same on every device."""
+  return jax.tree.map(lambda x: x.addressable_data(0), tree)
+
+
+def wait_for_all(name: str) -> None:
+  """Returns when every process has come here; `name` is the same for all."""
+  broadcast(name)
+
+
+def broadcast(text: str) -> str:
+  """The first process's text, in all of them."""
+  if jax.process_count() == 1:
+    return text
+  content = np.frombuffer(text.encode(), np.uint8)
+  # All-reduce alone: it is the one collective of Gloo that has never been seen wrong.
+  size = int(multihost_utils.broadcast_one_to_all(np.int32(len(content))))
+  padded = np.zeros(size, np.uint8)
+  padded[: min(size, len(content))] = content[:size]
+  return bytes(multihost_utils.broadcast_one_to_all(padded)).decode()
+
+
+def check_equal(tree: Any, what: str) -> None:
+  """Checks that all processes have the same bytes in arrays that are whole on every device.
+
+  Raises:
+    UserError: this process's differ from the first one's.
+  """
+  if jax.process_count() == 1:
+    return
+  found = digest(local(tree))
+  first = broadcast(found)
+  if found != first:
+    raise UserError(
+      f'{what} of process {jax.process_index()} ({found[:8]}) is not that of process 0'
+      f' ({first[:8]}): the machines compute differently; nothing was saved'
+    )
+
+
+def digest(tree: Any) -> str:
+  """A hash of the bytes of all arrays."""
+  total = hashlib.sha256()
+  for x in jax.tree.leaves(tree):
+    total.update(np.ascontiguousarray(x))
+  return total.hexdigest()
+
+
+def must_stop(caught: list[int], step: int) -> bool:
+  """Whether to stop after this step: all processes stop after the same one.
+
+  Args:
+    caught: the signals that this process has caught; only those of one that is alone count.
+    step: that was taken; each process asks after each of its steps.
+  """
+  if jax.process_count() == 1:
+    return bool(caught)
+  return multihost_utils.reached_preemption_sync_point(step)
+
+
+@contextlib.contextmanager
+def die_together() -> Iterator[None]:
+  """Ends this process at once if the body raises, so that the others do not wait for it.
+
+  A process that ends as usual waits for the others, who wait for it in a collective.
+  """
+  try:
+    yield
+  except BaseException as e:
+    if jax.process_count() == 1:
+      raise
+    if isinstance(e, UserError):
+      print(f'error: {" ".join(str(e).split())}', file=sys.stderr)
+    else:
+      traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
