@@ -5,6 +5,7 @@ The slow test tries 20,000 of each. A fault in native code ends the process, and
 
 import json
 import os
+import pathlib
 import random
 import re
 import shutil
@@ -188,3 +189,14 @@ def test_records_of_noise_are_safe_to_train_on(tmp_path):
   )
   loss, _ = objectives.shape(jnp.zeros((2, 8, 8, 8, 1)), data.decode(batch), PAPER, True)
   assert jnp.isfinite(loss)
+
+
+def test_nothing_reads_pickles():
+  """A reader of pickles runs what a file says."""
+  root = pathlib.Path(__file__).parent.parent
+  readers = re.compile(
+    r'pickle\.loads?\(|allow_pickle|torch\.load|joblib\.load|marshal\.load|shelve'
+  )
+  for room in ('cvn', 'datagen', 'experiments'):
+    for path in (root / room).rglob('*.py'):
+      assert not readers.search(path.read_text()), path
