@@ -5,6 +5,7 @@ cameras are those of cvn.camera, here also raised above the object.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -252,22 +253,25 @@ def grid_of_images(
   return np.asarray(picture)
 
 
-def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, size: int = 192):
-  """One picture's way through the networks (paper, Figure "res_vis").
+def reconstruction_panel(view: np.ndarray, reconstruction: Any, *, size: int = 192) -> np.ndarray:
+  """A view's way through the networks (paper, Figure "res_vis").
 
-  Input, flow in the colour code, sampled colour, regressed colour, blend weight (yellow: the
+  Input, flow in the colour code, sampled colour, regressed colour, the blend's weight (yellow: the
   sampled colour counts, blue: the regressed), blended colour, and the result from two other sides.
   The volumes are shown on the result's occupied voxels.
 
   Args:
     view: uint8 [H, W, 3 or 4].
-    reconstruction: a `cvn.reconstruct.Reconstruction` of this one view, numpy.
-    voxels: the result of `cvn.reconstruct.to_voxels`.
+    reconstruction: a `cvn.infer.Reconstruction` of this view, by a shape and a colour network.
     size: height and width of each image in pixels, 160 at least to hold the captions.
 
   Returns:
     uint8 [H, W, 3].
   """
+
+  voxels = grid.ColoredVoxels(
+    np.asarray(reconstruction.occupancy), np.asarray(reconstruction.color)
+  )
 
   def on_surface(color):
     return draw_voxels(voxels._replace(color=color), PANEL_AZIMUTH, size=size)
@@ -282,7 +286,7 @@ def reconstruction_panel(view, reconstruction, voxels: grid.ColoredVoxels, *, si
     },
     {
       'weight (yellow: sampled)': on_surface(weight),
-      'blended': on_surface(reconstruction.blended),
+      'blended': on_surface(reconstruction.color),
       **{f'result from {a}°': draw_voxels(voxels, a, size=size) for a in RESULT_AZIMUTHS},
     },
   ]

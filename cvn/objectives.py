@@ -1,15 +1,21 @@
-"""What each network is trained for: of its output and a batch, the loss and what to tell of it.
+"""What each network is trained for: the loss of its output for a batch, and metrics.
 
 Every objective is (output, batch, recipe, train) -> (loss, metrics). Surfaces come as in cvn.data:
 indices [B, S, 3], padded with PADDING_INDEX, and the colours and flows of these voxels. Outside of
-training there is more to tell, such as the IoU of a shape.
+training there are more metrics, such as the IoU of a shape.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from cvn import blending, losses, metrics
 from cvn.networks import ColorVolumes
+from cvn.recipe import Recipe
+
+Objective = Callable[[Any, Any, Recipe, bool], tuple[jax.Array, dict[str, jax.Array]]]
 
 EMPTY = -0.5  # every channel of an empty voxel of the joint volume (section 4, competing methods)
 

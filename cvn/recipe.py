@@ -4,12 +4,12 @@
 code; BUILD_NOTES.md has a row for every difference.
 """
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 
 from cvn import losses, sampler
 
@@ -19,30 +19,36 @@ class Recipe(NamedTuple):
 
   name: str
   shape_loss: Callable  # (logits, occupancy) -> scalar
-  surface_distance: Callable  # (prediction, target, mask) -> scalar, of the three colour terms
+  surface_distance: Callable  # (prediction, target, mask) -> scalar, for the three colour terms
   sample: Callable  # (image, flow) -> colours, in training
-  kernel_penalty: float  # times the sum of absolute kernel values, added to the loss
-  learning_rate: float  # the first one
-  schedule: Callable[[jax.Array, float], jax.Array]  # (samples seen, of all) -> its factor
-  mirror: bool  # whether half of the samples are mirrored, picture and object
-  recolor: bool  # whether samples are painted in other colours, picture and object
+  kernel_penalty: float  # weight of the sum of absolute kernel values in the loss
+  learning_rate: float  # of the first step
+  schedule: Callable[[float, float], optax.Schedule]  # (first rate, samples in all) -> schedule
+  mirror: bool  # whether half of the samples are mirrored, image and object
+  recolor: bool  # whether samples get other colours, image and object
 
 
-def constant(samples: jax.Array, total: float) -> jax.Array:
+# A schedule here is a function of the samples seen, not of the steps: it does not depend on the
+# batch size.
+
+
+def constant(learning_rate: float, total: float) -> optax.Schedule:
   """The learning rate stays (section 4: 0.0003)."""
   del total
-  return jnp.ones_like(samples)
+  return optax.constant_schedule(learning_rate)
 
 
-def staircase(samples: jax.Array, total: float) -> jax.Array:
+def staircase(learning_rate: float, total: float) -> optax.Schedule:
   """The authors' program: times 0.7 every 20,000 samples, from 3e-4 down to 1e-5."""
   del total
-  return jnp.maximum(0.7 ** jnp.floor(samples / 20000), 1 / 30)
+  return optax.exponential_decay(
+    learning_rate, 20000, 0.7, staircase=True, end_value=learning_rate / 30
+  )
 
 
-def cosine(samples: jax.Array, total: float) -> jax.Array:
+def cosine(learning_rate: float, total: float) -> optax.Schedule:
   """Half a cosine, down to 0 at the end of the training."""
-  return (1 + jnp.cos(math.pi * samples / total)) / 2
+  return optax.cosine_decay_schedule(learning_rate, total)
 
 
 def norm_decay(samples: jax.Array, batch_size: int) -> jax.Array:

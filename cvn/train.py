@@ -1,8 +1,8 @@
-"""Training: the state, and one compiled step for each network.
+"""Training: the state, and the compiled functions that change or evaluate it.
 
-`kind` is a key of `networks.NETWORKS`; cvn.objectives says what each is trained for. A batch is a
-`data.ShapeBatch` for shapes, else a `data.Batch`, as stored or decoded. All that a step needs comes
-in, all that it changes goes out.
+A network is a module of cvn.networks, and an objective one of cvn.objectives: what the network is
+trained for. A batch is a `data.ShapeBatch` for shapes, otherwise a `data.Batch`, as stored or
+decoded. Every function takes all that it needs and returns all that it changes.
 """
 
 import math
@@ -12,14 +12,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
+from flax import linen as nn
 
-from cvn import data, layers, networks, objectives, surface
-from cvn.networks import Trunk
+from cvn import data, layers, objectives, surface
+from cvn.networks import ColorNetwork, Trunk
+from cvn.objectives import Objective
 from cvn.recipe import Recipe, norm_decay
-
-NETWORKS = {kind: network() for kind, network in networks.NETWORKS.items()}
-
-_ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-8)
 
 
 class TrainState(NamedTuple):
@@ -27,105 +25,94 @@ class TrainState(NamedTuple):
 
   params: Any
   batch_stats: Any  # running BatchNorm statistics
-  opt_state: Any  # Adam's moments
+  opt_state: Any  # of `make_optimizer`, the same for every recipe
   step: jax.Array  # [] int32, steps taken
 
 
-def create_state(key: jax.Array, kind: str) -> TrainState:
+Metrics = dict[str, jax.Array]  # scalars
+Step = Callable[[TrainState, Any], tuple[TrainState, Metrics]]
+
+
+def create_state(key: jax.Array, network: nn.Module) -> TrainState:
   """The state before the first step: Glorot-uniform kernels, zero biases.
 
   Args:
-    key: of the parameters.
-    kind: of network.
+    key: for the parameters.
+    network: from cvn.networks.
   """
-  network = NETWORKS[kind]
   image = jnp.zeros((1, network.image_size, network.image_size, 3))
   variables = jax.jit(lambda k: network.init(k, image, train=False))(key)
   params = variables['params']
-  return TrainState(params, variables['batch_stats'], _ADAM.init(params), jnp.zeros((), jnp.int32))
+  opt_state = _adam(optax.constant_schedule(0.0)).init(params)
+  return TrainState(params, variables['batch_stats'], opt_state, jnp.zeros((), jnp.int32))
+
+
+def make_optimizer(
+  recipe: Recipe, *, batch_size: int, total_samples: float = math.inf
+) -> optax.GradientTransformation:
+  """Adam with the recipe's learning rate.
+
+  Args:
+    recipe: its learning rate and schedule are used.
+    batch_size: samples in a step.
+    total_samples: of the whole training, for schedules that end with it.
+  """
+  schedule = recipe.schedule(recipe.learning_rate, total_samples)
+  return _adam(lambda step: schedule((step * batch_size).astype(jnp.float32)))
 
 
 def make_step(
-  kind: str,
+  network: nn.Module,
+  objective: Objective,
   recipe: Recipe,
   *,
-  samples: float = math.inf,
-  mixed: bool = False,
-  implementation: str = 'auto',
-) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
+  total_samples: float = math.inf,
+) -> Step:
   """One optimisation step, compiled; the state that goes in is donated.
 
   Args:
-    kind: of network.
-    recipe: loss, schedules, penalty.
-    samples: of the whole training, for schedules that end with it.
-    mixed: whether products are of bfloat16 numbers.
-    implementation: of the network's layers, see cvn/ops/dispatch.py.
+    network: from cvn.networks; its fields choose mixed precision and the layers' implementation.
+    objective: from cvn.objectives.
+    recipe: loss, learning rate and penalty.
+    total_samples: of the whole training, for schedules that end with it.
 
   Returns:
-    step(state, batch) -> (state, metrics): scalars, the loss before the step among them.
+    step(state, batch) -> (state, metrics); the loss is that before the step.
   """
 
-  network = NETWORKS[kind].clone(mixed=mixed, implementation=implementation)
+  def loss(params, batch_stats, batch):
+    return _loss(params, batch_stats, batch, network, objective, recipe, True)
 
-  def objective(params, batch_stats, batch):
-    return _objective(params, batch_stats, batch, network, kind, recipe, True)
-
-  return _compile_step(objective, recipe, samples)
+  return _compile_step(loss, recipe, total_samples)
 
 
 def make_surface_step(
-  recipe: Recipe, *, samples: float = math.inf, mixed: bool = False
-) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, jax.Array]]]:
-  """The same for the colour network, its heads computed at surface voxels alone.
+  network: ColorNetwork, recipe: Recipe, *, total_samples: float = math.inf
+) -> Step:
+  """`make_step` for the colour network, with its heads computed at surface voxels alone.
 
-  Batch statistics differ from `make_step`'s, see cvn.surface.
+  Batch statistics differ from those of `make_step`, see cvn.surface.
   """
-  color = NETWORKS['color']
-  trunk = Trunk(color.image_size, color.grid_size, mixed)
+  trunk = Trunk(network.image_size, network.grid_size, network.mixed, network.implementation)
 
-  def objective(params, batch_stats, batch):
-    return _surface_objective(params, batch_stats, batch, trunk, recipe)
+  def loss(params, batch_stats, batch):
+    return _surface_loss(params, batch_stats, batch, trunk, recipe)
 
-  return _compile_step(objective, recipe, samples)
-
-
-def _compile_step(objective, recipe, total):
-  """The step of an objective (params, batch statistics, batch) -> (loss, (metrics, statistics))."""
-
-  def step(state, batch):
-    samples = (state.step * len(batch.image)).astype(jnp.float32)
-    rate = recipe.learning_rate * recipe.schedule(samples, total)
-    decay = norm_decay(samples, len(batch.image))
-    (_, (found, batch_stats)), gradient = jax.value_and_grad(objective, has_aux=True)(
-      state.params, state.batch_stats, batch
-    )
-    update, opt_state = _ADAM.update(gradient, state.opt_state)
-    params = jax.tree.map(lambda p, u: p - rate * u, state.params, update)
-    running = jax.tree.map(
-      lambda old, new: decay * old + (1 - decay) * new, state.batch_stats, batch_stats
-    )
-    return TrainState(params, running, opt_state, state.step + 1), found
-
-  return jax.jit(step, donate_argnums=0)
+  return _compile_step(loss, recipe, total_samples)
 
 
-def make_statistics(
-  kind: str, *, mixed: bool = False
-) -> Callable[[TrainState, Iterable[Any]], TrainState]:
-  """Statistics taken anew, instead of running ones: a mean over batches, with the last parameters.
+def make_recalibration(network: nn.Module) -> Callable[[TrainState, Iterable[Any]], TrainState]:
+  """Batch-norm recalibration: statistics averaged over some batches, with the last parameters.
 
-  Running statistics are of the parameters of many steps. Where these move fast they fit none of
+  Running statistics come from the parameters of many steps. Where these move fast they fit none of
   them, and a network that does well on batches of its own does badly on single views.
 
   Args:
-    kind: of network.
-    mixed: as of `make_step`.
+    network: from cvn.networks.
 
   Returns:
-    renew(state, batches) -> the state with the mean of the batches' statistics.
+    recalibrate(state, batches) -> the state with the mean of the batches' statistics.
   """
-  network = NETWORKS[kind].clone(mixed=mixed)
 
   @jax.jit
   def statistics(params, batch_stats, batch):
@@ -133,41 +120,75 @@ def make_statistics(
     image = data.decode(batch).image
     return network.apply(variables, image, train=True, mutable='batch_stats')[1]['batch_stats']
 
-  def renew(state, batches):
+  def recalibrate(state, batches):
     total, count = None, 0
     for batch in batches:
       found = statistics(state.params, state.batch_stats, batch)
       total, count = found if total is None else jax.tree.map(jnp.add, total, found), count + 1
     return state._replace(batch_stats=jax.tree.map(lambda x: x / count, total))
 
-  return renew
+  return recalibrate
 
 
-def make_eval(kind: str, recipe: Recipe) -> Callable[[TrainState, Any], dict[str, jax.Array]]:
-  """The metrics of a batch with running statistics, compiled: the loss, and the IoU of a shape."""
+def make_eval(
+  network: nn.Module, objective: Objective, recipe: Recipe
+) -> Callable[[TrainState, Any], Metrics]:
+  """The metrics of a batch with running statistics, compiled: the loss, and the IoU of a shape.
+
+  Args:
+    network: from cvn.networks.
+    objective: from cvn.objectives.
+    recipe: loss and penalty.
+  """
 
   def evaluate(state, batch):
-    _, (found, _) = _objective(
-      state.params, state.batch_stats, batch, NETWORKS[kind], kind, recipe, False
-    )
-    return found
+    return _loss(state.params, state.batch_stats, batch, network, objective, recipe, False)[1][0]
 
   return jax.jit(evaluate)
 
 
-def _objective(params, batch_stats, batch, network, kind, recipe, train):
+def kernel_sum(params: Any) -> jax.Array:
+  """The sum of absolute kernel values: what the authors' program penalises."""
+  leaves = jax.tree_util.tree_leaves_with_path(params)
+  return sum(jnp.sum(jnp.abs(x)) for path, x in leaves if path[-1].key == 'kernel')
+
+
+def _adam(schedule):
+  return optax.adam(schedule, b1=0.9, b2=0.999, eps=1e-8)
+
+
+def _compile_step(loss, recipe, total_samples):
+  """The step of a loss (params, batch statistics, batch) -> (scalar, (metrics, statistics))."""
+
+  def step(state, batch):
+    size = len(batch.image)
+    optimizer = make_optimizer(recipe, batch_size=size, total_samples=total_samples)
+    gradient, (metrics, batch_stats) = jax.grad(loss, has_aux=True)(
+      state.params, state.batch_stats, batch
+    )
+    updates, opt_state = optimizer.update(gradient, state.opt_state)
+    params = optax.apply_updates(state.params, updates)
+    decay = norm_decay((state.step * size).astype(jnp.float32), size)
+    running = jax.tree.map(
+      lambda old, new: decay * old + (1 - decay) * new, state.batch_stats, batch_stats
+    )
+    return TrainState(params, running, opt_state, state.step + 1), metrics
+
+  return jax.jit(step, donate_argnums=0)
+
+
+def _loss(params, batch_stats, batch, network, objective, recipe, train):
   """(loss, (metrics, batch statistics))."""
   batch = data.decode(batch)
   output, mutated = network.apply(
     {'params': params, 'batch_stats': batch_stats}, batch.image, train=train, mutable='batch_stats'
   )
-  loss, found = objectives.OBJECTIVES[kind](output, batch, recipe, train)
-  if recipe.kernel_penalty:
-    loss = loss + recipe.kernel_penalty * _kernel_sum(params)
-  return loss, ({'loss': loss, **found}, mutated['batch_stats'])
+  loss, metrics = objective(output, batch, recipe, train)
+  loss = _penalised(loss, params, recipe)
+  return loss, ({'loss': loss, **metrics}, mutated['batch_stats'])
 
 
-def _surface_objective(params, batch_stats, batch, trunk, recipe):
+def _surface_loss(params, batch_stats, batch, trunk, recipe):
   """(loss, (metrics, batch statistics)) of the colour network in training."""
   batch = data.decode(batch)
   features, mutated = trunk.apply(
@@ -184,15 +205,12 @@ def _surface_objective(params, batch_stats, batch, trunk, recipe):
     loss, terms = objectives.color_at_surface(volumes, batch, places.mask, recipe)
     return loss, (terms, statistics)
 
+  features = layers.materialize(features, implementation=trunk.implementation)
   near = surface.near_cells(batch.index, trunk.grid_size)
-  loss, (found, statistics) = surface.by_capacity(
-    heads_loss, near, heads, layers.materialize(features), batch, near
-  )
-  if recipe.kernel_penalty:
-    loss = loss + recipe.kernel_penalty * _kernel_sum(params)
-  return loss, ({'loss': loss, **found}, {'trunk': mutated['batch_stats'], **statistics})
+  loss, (metrics, statistics) = surface.by_capacity(heads_loss, near, heads, features, batch, near)
+  loss = _penalised(loss, params, recipe)
+  return loss, ({'loss': loss, **metrics}, {'trunk': mutated['batch_stats'], **statistics})
 
 
-def _kernel_sum(params):
-  leaves = jax.tree_util.tree_leaves_with_path(params)
-  return sum(jnp.sum(jnp.abs(x)) for path, x in leaves if path[-1].key == 'kernel')
+def _penalised(loss, params, recipe):
+  return loss + recipe.kernel_penalty * kernel_sum(params) if recipe.kernel_penalty else loss

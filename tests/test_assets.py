@@ -10,8 +10,7 @@ from PIL import Image
 from experiments.lib import assets
 
 PAGES = (
-  ('experiments', 'demo.html'),
-  ('experiments.report', 'page.html'),
+  ('experiments.lib', 'page.html'),
   ('experiments.study', 'study.html'),
 )
 

@@ -12,7 +12,7 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import baselines, checkpoint, dataset, metrics, reconstruct
+from cvn import baselines, checkpoint, dataset, infer, metrics
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
@@ -67,16 +67,13 @@ def given(tmp_path_factory):
 
 
 def _run(*arguments, **named):
-  """The program's exit status, within this process."""
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return program.run(f)
+  """Runs the program within this process."""
+  return program.main([*arguments, *(f'--{k}={v}' for k, v in named.items())])
 
 
 def _evaluate(tmp_path, *arguments, **named):
   path = tmp_path / 'new' / 'report.json'
-  assert _run(*arguments, json=path, **named) == 0
+  _run(*arguments, json=path, **named)
   with open(path) as f:
     return json.load(f)
 
@@ -103,8 +100,8 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
   report = _evaluate(tmp_path, '--baselines', alpha=0.5, **given)
   assert (report['models'], report['views'], report['alpha']) == (3, 3, 0.5)
   opened = dataset.open_dataset(given['data'])
-  shape = checkpoint.load_network(given['shape'], 'shape')[1]
-  color = checkpoint.load_network(given['color'], 'color')[1]
+  sizes = {'image_size': IMAGE, 'grid_size': GRID}
+  shape, color = (infer.load(given[kind], kind, **sizes) for kind in ('shape', 'color'))
   rows = {4: 'ball', 5: 'egg', 11: 'egg'}  # 10 was never made
   scores = np.zeros((3, 3, 3))
   beaten = np.zeros((3, 3, 3))
@@ -115,13 +112,11 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     trained = [dataset.read_record(opened, r) for r in own]
     mean_shape = baselines.mean_shape([t.surface_index for t in trained], GRID)
     mean_color = np.concatenate([t.surface_color for t in trained]).mean(0) / 255
-    views = record.views.astype(np.float32) / 255
-    probability = np.asarray(reconstruct.estimate_shape(shape, views, grid_size=GRID))
-    colors = reconstruct.estimate_color(color, views, alpha=0.5, grid_size=GRID)
-    for v in range(3):
-      voxels = ColoredVoxels(probability[v] >= 0.8, np.asarray(colors.blended[v]))
+    results = infer.reconstruct(record.views, shape=shape, color=color, alpha=0.5)
+    for v, one in enumerate(infer.split(results)):
+      voxels = infer.to_voxels(one)
       assert voxels.occupancy.any()
-      iou = metrics.iou(probability[v] > 0.8, true.occupancy)
+      iou = metrics.iou(one.probability > 0.8, true.occupancy)
       scores[:, n, v] = (iou, *metrics.surface_psnr(voxels, true))
       plain = voxels._replace(color=np.broadcast_to(mean_color, voxels.color.shape))
       iou = metrics.iou(mean_shape, true.occupancy)
@@ -139,19 +134,10 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     assert list(found['by_view']) == ['0', '90', '200']
     assert found['views_without_voxels'] == 0
   lines = capsys.readouterr().out.splitlines()
-  assert lines[0] == '3 models of the split test, 3 views each'
-  assert lines[2] == 'alpha: 0.5'
-  assert [line.split()[0] for line in lines[4:11]] == [
-    'all',
-    'by',
-    'ball',
-    'egg',
-    '0°',
-    '90°',
-    '200°',
-  ]
-  cells = lines[4].split()[1:]
-  assert cells[0] == f'{scores[0].mean():.3f}' and cells[1] == f'{beaten[0].mean():.3f}'
+  rows = [[x.strip() for x in line.strip('|').split('|')] for line in lines if line[:1] == '|']
+  labels = ['', '---', 'all', 'mean of categories', 'ball', 'egg', '0°', '90°', '200°']
+  assert [row[0] for row in rows] == labels
+  assert rows[2][1:3] == [f'{scores[0].mean():.3f}', f'{beaten[0].mean():.3f}']
 
 
 def test_the_options_are_known_before_the_evaluation(tmp_path, given):
@@ -176,22 +162,22 @@ def test_color_alone_is_judged_on_the_true_shapes(tmp_path, given, capsys):
   assert 'true shapes' in capsys.readouterr().out
   assert report['models'] == 1 and report['networks']['total']['iou'] is None
   record = dataset.read_record(dataset.open_dataset(given['data']), 4)
-  color = checkpoint.load_network(given['color'], 'color')[1]
-  blended = reconstruct.estimate_color(
-    color, record.views.astype(np.float32) / 255, alpha=0.5, grid_size=GRID
-  ).blended
+  color = infer.load(given['color'], 'color', image_size=IMAGE, grid_size=GRID)
+  blended = infer.reconstruct(record.views, color=color, alpha=0.5).color
   true = _true(record)
   expected = [metrics.surface_psnr(true._replace(color=np.asarray(b)), true).rgb for b in blended]
   assert report['networks']['total']['psnr_rgb'] == pytest.approx(np.mean(expected), rel=1e-4)
 
 
 def test_views_without_voxels_are_counted_and_left_out(tmp_path, given, capsys, monkeypatch):
-  def nothing_at_90(variables, views, **_):
-    result = np.ones((len(views),) + (GRID,) * 3, np.float32)
-    result[1] = 0
-    return result
+  def nothing_at_90(views, **options):
+    probability = np.ones((len(views),) + (GRID,) * 3, np.float32)
+    probability[1] = 0
+    found = inner(views, **options)
+    return found._replace(probability=probability, occupancy=probability > 0)
 
-  monkeypatch.setattr(reconstruct, 'estimate_shape', nothing_at_90)
+  inner = infer.reconstruct
+  monkeypatch.setattr(infer, 'reconstruct', nothing_at_90)
   report = _evaluate(tmp_path, alpha=0.5, **given)
   found = report['networks']
   assert found['views_without_voxels'] == 3
@@ -208,12 +194,10 @@ def test_means_of_nothing_and_of_infinities():
   assert program.mean(np.array([1.0, np.inf])) is None
 
 
-@pytest.mark.parametrize(
-  'name, value', [('alpha', 0), ('alpha', 'nan'), ('alpha', 2), ('split', 'all')]
-)
-def test_flags_out_of_range(name, value):
-  with pytest.raises(flags.Error, match=name):
-    _run(data='a', shape='a', **{name: value})
+@pytest.mark.parametrize('value', ['0', 'nan', '2', 'x'])
+def test_alpha_is_in_its_range_or_chosen(value):
+  assert not evaluation.is_alpha(value)
+  assert evaluation.is_alpha('1') and evaluation.is_alpha('val')
 
 
 def test_bad_input_is_named(tmp_path, given):

@@ -1,7 +1,7 @@
 """The figure of intermediate results, on networks of random parameters."""
 
 import numpy as np
-from test_figure_random import make_workdir, parse, read_figure, save_networks
+from test_figure_random import make_workdir, read_figure, run, save_networks
 
 from cvn import figures
 from experiments.lib import pictures
@@ -16,7 +16,7 @@ def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
   monkeypatch.setattr(
     figure_intermediate, 'draw_row', lambda *a, **k: drawn.append(draw_row(*a, **k)) or drawn[-1]
   )
-  figure_intermediate.run(parse(figure_intermediate, '--category=car', tile=48, **given))
+  run(figure_intermediate, '--category=car', tile=48, **given)
   (row,) = drawn
   assert len(row) == len(figure_intermediate.TITLES)
   found = [np.any(x < 255, axis=-1) for x in row[2:7]]

@@ -15,7 +15,7 @@ from cvn import dataset, figures
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import NETWORKS
-from experiments.lib import pictures, protocol, scoring
+from experiments.lib import cli, pictures, protocol, scoring
 from experiments.lib.runs import Run
 from experiments.paper.figures import random as figure_random
 
@@ -65,12 +65,9 @@ def save_networks(given, category, *trainings):
     save_network(folder, kind, NETWORKS[kind](IMAGE, GRID))
 
 
-def parse(program, *arguments, **named):
-  """A program's flags."""
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return f
+def run(program, *arguments, **named):
+  """Runs a program."""
+  program.main([*arguments, *(f'--{k}={v}' for k, v in named.items())])
 
 
 def read_figure(given, name):
@@ -86,8 +83,7 @@ def given(tmp_path, monkeypatch):
 
 
 def test_the_figure_tells_what_it_shows(given, capsys):
-  f = parse(figure_random, methods='r2n2,flow', tile=48, figure_seed=7, **given)
-  figure_random.run(f)
+  run(figure_random, methods='r2n2,flow', tile=48, figure_seed=7, **given)
   image, facts = read_figure(given, 'random')
   assert image.ndim == 3 and (image < 100).any()
   assert facts['figure_seed'] == 7 and 'seed 7' in facts['caption']
@@ -103,26 +99,28 @@ def test_the_figure_tells_what_it_shows(given, capsys):
 
 
 def test_one_model_of_all_categories(given):
-  f = parse(
-    figure_random, '--models=all', '--quick', methods='flow', tile=48, name='x', seeds='3', **given
-  )
-  figure_random.run(f)
+  options = {'methods': 'flow', 'tile': 48, 'name': 'x', 'seeds': '3'}
+  run(figure_random, '--models=all', '--quick', **options, **given)
   _, facts = read_figure(given, 'x')
   assert facts['networks']['car'] == facts['networks']['zebra']
   assert facts['networks']['car']['flow'] == os.path.join('runs', 'flow_all_3')
-  assert facts['caption'].endswith('one for all categories, epochs: 1, seed 3.')
+  shown = facts['runs']['flow_all_3']
+  assert (shown['category'], shown['epochs'], shown['seed']) == ([], 1, 3)
+
+
+def plan_of(given, **named):
+  return protocol.read_flags(cli.parse(protocol.define_flags, **given, **named))
 
 
 def test_a_seed_means_a_choice(given):
   opened = dataset.open_dataset(given['data'])
 
-  def choose(**named):
-    f = parse(figure_random, **given, **named)
-    plan = protocol.read_flags(f)
-    return pictures.choose(plan, opened, seed=f.figure_seed, per_category=f.per_category)
+  def choose(seed=0, per_category=2, **named):
+    options = {'seed': seed, 'per_category': per_category}
+    return pictures.choose(plan_of(given, **named), opened, **options)
 
-  assert choose(figure_seed=1) == choose(figure_seed=1)
-  assert len({tuple(choose(figure_seed=n)) for n in range(8)}) > 4
+  assert choose(1) == choose(1)
+  assert len({tuple(choose(n)) for n in range(8)}) > 4
   assert [e.row for e in choose(per_category=1, category='zebra')] in ([3], [7])
   assert sorted(e.row for e in choose(per_category=9)) == [2, 3, 6, 7]
   for e in choose():
@@ -136,7 +134,7 @@ def test_results_are_the_predictors(given, monkeypatch):
   for row in (2, 3, 6, 7):
     record = dataset.read_record(opened, row)
     for view in record.views:
-      by_view[(view.astype(np.float32) / 255).tobytes()] = scoring.to_voxels(record, GRID)
+      by_view[view.tobytes()] = scoring.to_voxels(record, GRID)
 
   def make_predictor(plan, method, category, seed):
     return lambda views: [by_view[v.tobytes()] for v in views]
@@ -144,7 +142,7 @@ def test_results_are_the_predictors(given, monkeypatch):
   monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
   shown = []
   monkeypatch.setattr(figures, 'grid_of_images', lambda rows, **_: shown.extend(rows))
-  plan = protocol.read_flags(parse(figure_random, **given))
+  plan = plan_of(given)
   chosen = pictures.choose(plan, opened, seed=0, per_category=1)
   pictures.draw_results(plan, opened, chosen, ['flow'], tile=64)
   for row in shown:
@@ -154,17 +152,12 @@ def test_results_are_the_predictors(given, monkeypatch):
     assert not np.array_equal(row[1], row[2])
 
 
-def test_bad_flags_are_named(given, tmp_path):
+def test_bad_input_is_named(given, tmp_path):
   for methods in ('msfcel', 'fly', ''):
     with pytest.raises(flags.Error, match='methods'):
-      parse(figure_random, methods=methods, **given)
+      run(figure_random, methods=methods, **given)
   synthetic.make_dataset(tmp_path / 'few', 1, image_size=IMAGE, grid_size=GRID, azimuths=(0,))
-  few = given | {'data': str(tmp_path / 'few')}
   with pytest.raises(UserError, match='no finished model in the split test'):
-    figure_random.run(parse(figure_random, **few))
+    run(figure_random, **given | {'data': str(tmp_path / 'few')})
   with pytest.raises(UserError, match='no data set'):
-    figure_random.run(parse(figure_random, **given | {'data': str(tmp_path)}))
-
-
-def test_pictures_have_letters_for_titles():
-  assert pictures.title_of('blended_0.4') == 'Ours\n(alpha = 0.4)'
+    run(figure_random, **given | {'data': str(tmp_path)})

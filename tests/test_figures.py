@@ -1,11 +1,10 @@
 """Drawing: where things land, which colour they get, how pictures are laid out."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from cvn import camera, figures, grid
+from cvn.infer import Reconstruction
 
 SIZE = 16  # voxels
 
@@ -124,21 +123,20 @@ def test_transparent_pixels_show_the_background():
   np.testing.assert_array_equal(figures.over(rgba, (100, 100, 100)), expected)
 
 
-class _Volumes(NamedTuple):
-  flow: np.ndarray
-  sampled: np.ndarray
-  regressed: np.ndarray
-  weight: np.ndarray
-  blended: np.ndarray
-
-
 def test_panel_shows_each_volume_on_the_voxels():
   n = 8
   flat = lambda *c: np.broadcast_to(np.float32(c), (n, n, n, len(c)))  # noqa: E731
-  volumes = _Volumes(flat(0, 0), flat(0, 1, 0), flat(1, 0, 0), flat(1.0)[..., 0], flat(1, 1, 0))
-  voxels = grid.ColoredVoxels(np.ones((n,) * 3, bool), volumes.blended)
+  volumes = Reconstruction(
+    occupancy=np.ones((n,) * 3, bool),
+    probability=None,
+    color=flat(1, 1, 0),
+    regressed=flat(1, 0, 0),
+    sampled=flat(0, 1, 0),
+    flow=flat(0, 0),
+    weight=flat(1.0)[..., 0],
+  )
   view = np.full((16, 16, 4), 255, np.uint8)
-  panel = figures.reconstruction_panel(view, volumes, voxels, size=160)
+  panel = figures.reconstruction_panel(view, volumes, size=160)
   left, right = (
     {tuple(c) for c in np.unique((half > 100).reshape(-1, 3), axis=0)}
     for half in np.array_split(panel, 2, axis=1)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from cvn import layers, train
+from cvn import layers
+from cvn.networks import ShapeNetwork
 from experiments.perf import layers as perf_layers
 from experiments.perf.layers import Cost, Layer, Peaks, Row
 
@@ -33,7 +34,7 @@ def array(*shape, dtype=jnp.float32):
 
 
 def test_layers_come_in_the_order_of_the_forward_pass():
-  found = perf_layers.layers_of(train.NETWORKS['shape'], 2)
+  found = perf_layers.layers_of(ShapeNetwork(), 2)
   names = [layer.name for layer in found]
   assert names[:2] == ['encoder/conv0', 'encoder/conv0/norm']
   assert names[-2:] == ['head/deconv', 'head/conv']
@@ -44,7 +45,7 @@ def test_layers_come_in_the_order_of_the_forward_pass():
 
 
 def test_operations_by_hand():
-  found = {x.name: x for x in perf_layers.layers_of(train.NETWORKS['shape'], 3)}
+  found = {x.name: x for x in perf_layers.layers_of(ShapeNetwork(), 3)}
   count = perf_layers.count_operations
   assert count(found['encoder/conv0']) == 2 * 3 * 64**2 * 7**2 * 3 * 64
   assert count(found['encoder/latent0']) == 2 * 3 * 512 * 512
@@ -68,9 +69,8 @@ def test_bytes_by_hand(dtype, size):
   assert perf_layers.count_bytes(norm, True) == (3 * written, 5 * written)
 
 
-def test_rows_of_a_network(monkeypatch):
-  monkeypatch.setitem(train.NETWORKS, 'small', Small())
-  rows = perf_layers.time_layers('small', 2, False, PEAKS)
+def test_rows_of_a_network():
+  rows = perf_layers.time_layers(Small(), 2, PEAKS)
   with_norm = [f'{name}{end}' for name in ('conv', 'collect', 'dense') for end in ('', '/norm')]
   names = [*with_norm, 'deconv', 'conv3']
   assert [r.name for r in rows] == names
@@ -83,9 +83,8 @@ def test_rows_of_a_network(monkeypatch):
       assert cost.floor == max(cost.operations / 1e9, cost.bytes / 1e9)
 
 
-def test_convolutions_of_a_mixed_network_are_measured_by_the_peak_of_bfloat16(monkeypatch):
-  monkeypatch.setitem(train.NETWORKS, 'small', Small())
-  first, norm = perf_layers.time_layers('small', 2, True, PEAKS)[:2]
+def test_convolutions_of_a_mixed_network_are_measured_by_the_peak_of_bfloat16():
+  first, norm = perf_layers.time_layers(Small(mixed=True), 2, PEAKS)[:2]
   assert (first.dtype, norm.dtype) == ('bfloat16', 'float32')
 
 

@@ -15,6 +15,8 @@ import pytest
 from cvn import train
 from cvn.data import Batch
 from cvn.grid import GRID_SIZE
+from cvn.networks import NETWORKS
+from cvn.objectives import OBJECTIVES
 from cvn.recipe import PAPER
 from experiments.perf import peer
 
@@ -75,17 +77,19 @@ def test_the_losses_of_two_steps_are_equal(kind):
 
   from experiments.perf import torch_peer
 
-  state, step = train.create_state(jax.random.key(1), kind), train.make_step(kind, PAPER)
+  ours = NETWORKS[kind]()
+  state = train.create_state(jax.random.key(1), ours)
+  step = train.make_step(ours, OBJECTIVES[kind], PAPER)
   theirs = torch_peer.make_batch(3)
   flipped = theirs['image'].flip((2, 3))  # what their network sees as ours sees the image
   index = GRID_SIZE - 1 - theirs['index'].numpy().astype(np.int32)
   arrays = (flipped.permute(0, 2, 3, 1), index, theirs['color'], theirs['flow'])
-  ours = Batch(*(jnp.asarray(np.asarray(v)) for v in arrays))
+  batch = Batch(*(jnp.asarray(np.asarray(v)) for v in arrays))
   network = torch_peer.make_network(kind)
   set_weights(network, jax.tree.map(np.asarray, state.params))
   optimizer = torch.optim.Adam(network.parameters(), PAPER.learning_rate)
   for tolerance in (1e-5, 1e-3):  # Adam's first step is of the gradients' signs: small ones differ
-    state, found = step(state, ours)
+    state, found = step(state, batch)
     volumes = torch_peer.compute_volumes(network, theirs['image'], False)
     loss = torch_peer.compute_loss(volumes, theirs | {'image': flipped})
     np.testing.assert_allclose(loss.item(), found['loss'], rtol=tolerance)

@@ -4,19 +4,15 @@ import leavings
 import numpy as np
 import pytest
 import synthetic
-from absl import flags
 
 from cvn.errors import UserError
-from cvn.networks import NETWORKS
-from experiments.lib import protocol
+from cvn.infer import Network, Reconstruction
+from experiments.lib import cli, protocol
 from experiments.lib.runs import Run
 
 
 def parse(*arguments):
-  f = flags.FlagValues()
-  protocol.define_flags(f)
-  f(['program', *arguments])
-  return protocol.read_flags(f)
+  return protocol.read_flags(cli.parse(protocol.define_flags, arguments))
 
 
 @pytest.fixture
@@ -27,13 +23,6 @@ def data(tmp_path):
 @pytest.fixture
 def commands(monkeypatch):
   return leavings.without_programs(monkeypatch)
-
-
-def test_every_method_has_its_trainings_and_every_training_a_network():
-  for method in protocol.METHODS.values():
-    assert method.shape in protocol.TRAININGS
-    assert not method.color or method.color in protocol.TRAININGS
-  assert all(t['network'] in NETWORKS for t in protocol.TRAININGS.values())
 
 
 def test_the_defaults_are_the_papers(data, tmp_path, commands):
@@ -50,6 +39,23 @@ def test_the_defaults_are_the_papers(data, tmp_path, commands):
     'batch_size': 60,
   }
   assert 'learning_rate' not in named
+
+
+def test_a_faster_way_to_train_is_a_training_of_its_own(data, tmp_path, commands):
+  arguments = data, f'--workdir={tmp_path}', '--batch_size=2', '--models=all', '--epochs=2'
+  for method in ('blended_0.2', 'blended_mixed', 'blended_surface'):
+    protocol.evaluate(parse(*arguments), method, protocol.ALL, '0')
+  trained = {
+    n['workdir'].rpartition('/')[2]: (n['dtype'], n.get('heads'))
+    for p, n in commands
+    if p == 'train'
+  }
+  assert trained == {
+    'msfcel_all_0': ('float32', None),
+    'blended_all_0': ('float32', None),
+    'blended_mixed_all_0': ('mixed', None),
+    'blended_surface_all_0': ('float32', 'surface'),
+  }
 
 
 def test_methods_share_networks(data, tmp_path, commands):
@@ -98,22 +104,39 @@ def test_a_predictor_makes_what_is_evaluated(tmp_path, monkeypatch):
   made = synthetic.make_dataset(tmp_path / 'data', 2, image_size=32, grid_size=16)
   monkeypatch.setattr(protocol, 'train', lambda plan, training, *_: Run(training, {}, 0))
   monkeypatch.setattr(protocol, 'evaluate', lambda *_: {'threshold': 0.25, 'alpha': 0.6})
-  monkeypatch.setattr(
-    protocol.scoring, 'load', lambda workdir, kinds, _: protocol.scoring.Network(workdir, kinds)
-  )
-  score = np.linspace(0, 1, 2 * 16**3, dtype=np.float32).reshape(2, 16, 16, 16)
-  color = np.random.default_rng(0).random((2, 16, 16, 16, 3))
-  monkeypatch.setattr(protocol.methods, 'score', lambda kind, *_, **__: score)
+  monkeypatch.setattr(protocol.scoring, 'load', lambda workdir, *_: Network(workdir, None, {}))
   told = []
 
-  def colors(kind, variables, views, **options):
-    told.append((kind, options))
-    return color
+  def reconstruct(views, **options):
+    told.append(options)
+    return Reconstruction(*[np.arange(len(views))] * 7)
 
-  monkeypatch.setattr(protocol.methods, 'colors', colors)
-  f = parse(f'--data={made.root}', f'--workdir={tmp_path}')
-  predict = protocol.make_predictor(f, 'blended_0.6', 'all', '0')
-  first, second = predict(np.zeros((2, 32, 32, 4), np.float32))
-  np.testing.assert_array_equal(first.occupancy, score[0] >= 0.25)
-  np.testing.assert_array_equal(second.color, color[1])
-  assert told == [('blended', {'alpha': 0.6, 'threshold': 0.25, 'flip': False, 'grid_size': 16})]
+  monkeypatch.setattr(protocol.infer, 'reconstruct', reconstruct)
+  plan = parse(f'--data={made.root}', f'--workdir={tmp_path}')
+  for method, color in (('blended_0.6', 'blended'), ('best', 'blended_best')):
+    results = protocol.make_predictor(plan, method, 'all', '0')(np.zeros((2, 32, 32, 4)))
+    assert [r.occupancy for r in results] == [0, 1]
+    options, best = told.pop(), method == 'best'
+    assert options.pop('color').kind == color
+    assert options.pop('shape').kind == ('msfcel_best' if best else 'msfcel')
+    assert options == {
+      'alpha': 0.6,
+      'threshold': 0.25,
+      'flip': best,
+      'carve': best,
+      'azimuths': made.manifest.azimuths,
+    }
+
+
+def test_one_network_for_shape_and_colour_is_loaded_once(tmp_path, monkeypatch):
+  made = synthetic.make_dataset(tmp_path / 'data', 2, image_size=32, grid_size=16)
+  monkeypatch.setattr(protocol, 'train', lambda plan, training, *_: Run(training, {}, 0))
+  monkeypatch.setattr(protocol, 'evaluate', lambda *_: {'threshold': 0.25, 'alpha': 0.6})
+  monkeypatch.setattr(protocol.scoring, 'load', lambda workdir, *_: Network(workdir, None, {}))
+  monkeypatch.setattr(
+    protocol.infer, 'reconstruct', lambda views, *, shape, color, **_: [shape, color]
+  )
+  monkeypatch.setattr(protocol.infer, 'split', lambda found: found)
+  plan = parse(f'--data={made.root}', f'--workdir={tmp_path}')
+  shape, color = protocol.make_predictor(plan, 'unified', 'all', '0')(None)
+  assert shape is color

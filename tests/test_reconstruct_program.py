@@ -13,7 +13,7 @@ import trimesh
 from absl import flags
 from PIL import Image
 
-from cvn import camera, checkpoint, methods, photo
+from cvn import checkpoint, infer, photo
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import reconstruct as program
@@ -49,10 +49,7 @@ def workdirs(tmp_path_factory):
 
 def _run(*arguments, **named):
   """The program's exit status, within this process."""
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return program.run(f)
+  return program.main([*arguments, *(f'--{k}={v}' for k, v in named.items())])
 
 
 def _picture(path, color):
@@ -97,13 +94,12 @@ def test_mirrored_and_carved(tmp_path, workdirs, monkeypatch):
   monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels: made.append(voxels))
   given = {'image': picture, 'output': tmp_path / 'out', 'threshold': 0.5, **workdirs}
   assert _run('--flip', '--carve', **given) == 0
-  views = photo.load_view(picture)[None] / np.float32(255)
-  _, shape = checkpoint.load_network(workdirs['shape'], 'shape')
-  _, color = checkpoint.load_network(workdirs['color'], 'color')
-  score = methods.score('shape', shape, views, flip=True, carve=camera.AZIMUTHS)
-  np.testing.assert_array_equal(made[0].occupancy, score[0] >= 0.5)
-  expected = methods.colors('color', color, views, flip=True)[0]
-  np.testing.assert_allclose(made[0].color, expected, atol=1e-6)
+  shape, color = (infer.load(workdirs[kind], kind) for kind in ('shape', 'color'))
+  expected = infer.reconstruct(
+    photo.load_view(picture), shape=shape, color=color, threshold=0.5, flip=True, carve=True
+  )
+  np.testing.assert_array_equal(made[0].occupancy, expected.occupancy)
+  np.testing.assert_allclose(made[0].color, expected.color, atol=1e-6)
   assert _run(**given) == 0
   assert made[1].occupancy.sum() > made[0].occupancy.sum()
   assert np.abs(made[1].color - made[0].color).max() > 1e-6

@@ -10,14 +10,27 @@ import pytest
 from cvn import blending, losses, sampler, train
 from cvn.data import Batch
 from cvn.grid import PADDING_INDEX
+from cvn.networks import NETWORKS, ColorNetwork
+from cvn.objectives import OBJECTIVES
 from cvn.recipe import PAPER, RECIPES, RELEASE, cosine, norm_decay
 
 SLOTS = 256
 
 # Compiled once for the whole file: what takes time here is the compiler.
-make_step = functools.cache(train.make_step)
-make_surface_step = functools.cache(train.make_surface_step)
-make_eval = functools.cache(train.make_eval)
+_make_step = functools.cache(train.make_step)
+_make_eval = functools.cache(train.make_eval)
+
+
+def make_step(kind, recipe, mixed=False):
+  return _make_step(NETWORKS[kind](mixed=mixed), OBJECTIVES[kind], recipe)
+
+
+def make_eval(kind, recipe):
+  return _make_eval(NETWORKS[kind](), OBJECTIVES[kind], recipe)
+
+
+def create_state(kind):
+  return train.create_state(jax.random.key(0), NETWORKS[kind]())
 
 
 def make_batch(seed=0, size=2):
@@ -40,7 +53,7 @@ def make_batch(seed=0, size=2):
 )
 def test_a_few_steps_lower_the_loss_with_one_trace(kind, mixed):
   step = make_step(kind, PAPER, mixed=mixed)
-  state = train.create_state(jax.random.key(0), kind)
+  state = create_state(kind)
   batch, found = make_batch(), []
   for _ in range(3):
     state, metrics = step(state, batch)
@@ -55,8 +68,8 @@ def test_a_few_steps_lower_the_loss_with_one_trace(kind, mixed):
 @pytest.mark.parametrize('mixed', [False, True])
 def test_steps_at_the_surface_lower_the_loss_with_one_trace(mixed):
   """However many cells are near the surface: a few at first, then all of them."""
-  step = make_surface_step(PAPER, mixed=mixed)
-  state = train.create_state(jax.random.key(0), 'color')
+  step = train.make_surface_step(ColorNetwork(mixed=mixed), PAPER)
+  state = create_state('color')
   structure = jax.tree.structure(state)
   batch, found = make_batch(), []
   full = np.stack(np.unravel_index(np.arange(0, 64**3, 64**3 // SLOTS), (64,) * 3), -1)
@@ -73,7 +86,7 @@ def test_steps_at_the_surface_lower_the_loss_with_one_trace(mixed):
 def test_color_loss_sees_only_surface_voxels():
   batch = make_batch()
   evaluate = make_eval('color', PAPER)
-  state = train.create_state(jax.random.key(0), 'color')
+  state = create_state('color')
   expected = evaluate(state, batch)
   padded = batch.index[..., :1] == PADDING_INDEX
   other = batch._replace(
@@ -92,9 +105,9 @@ def test_sparse_color_loss_is_the_dense_one():
   batch = batch._replace(
     index=np.stack(np.unravel_index(voxels, (64,) * 3), -1)[None].astype(np.int32)
   )
-  state = train.create_state(jax.random.key(0), 'color')
+  state = create_state('color')
   variables = {'params': state.params, 'batch_stats': state.batch_stats}
-  network = train.NETWORKS['color']
+  network = ColorNetwork()
   volumes = jax.jit(lambda v, x: network.apply(v, x, train=False))(variables, batch.image)
   at = (0, *batch.index[0].T)
   mask = np.zeros((1, 64, 64, 64), bool)
@@ -112,14 +125,14 @@ def test_sparse_color_loss_is_the_dense_one():
 def test_empty_surface_is_finite(kind):
   batch = make_batch()
   batch = batch._replace(index=np.full_like(batch.index, PADDING_INDEX))
-  state, metrics = make_step(kind, PAPER)(train.create_state(jax.random.key(0), kind), batch)
+  state, metrics = make_step(kind, PAPER)(create_state(kind), batch)
   assert np.isfinite(float(metrics['loss']))
   assert all(np.isfinite(x).all() for x in jax.tree.leaves(state))
 
 
 def test_running_statistics_follow_the_decay():
   batch, step = make_batch(), make_step('shape', PAPER)
-  ones = train.create_state(jax.random.key(0), 'shape')
+  ones = create_state('shape')
   zeros = ones._replace(batch_stats=jax.tree.map(jnp.zeros_like, ones.batch_stats))
   was = jax.tree.map(np.asarray, ones.batch_stats)
   became, from_zeros = (
@@ -138,13 +151,13 @@ def test_running_statistics_follow_the_decay():
   assert (variance > 1e-3).all()
 
 
-def test_fresh_statistics_are_the_mean_of_the_batches_own():
+def test_recalibrated_statistics_are_the_mean_of_the_batches_own():
   """A step with nothing to remember has the batch's statistics, times what its decay leaves."""
-  state = train.create_state(jax.random.key(0), 'shape')
+  state = create_state('shape')
   state = state._replace(batch_stats=jax.tree.map(jnp.zeros_like, state.batch_stats))
   params = jax.tree.map(np.asarray, state.params)
   batches = [make_batch(seed) for seed in (0, 1)]
-  renewed = train.make_statistics('shape')(state, batches)
+  renewed = train.make_recalibration(NETWORKS['shape']())(state, batches)
   kept = 0.5 ** (len(batches[0].image) / 60)
   own = [
     make_step('shape', PAPER)(jax.tree.map(jnp.copy, state), b)[0].batch_stats for b in batches
@@ -161,7 +174,7 @@ def test_fresh_statistics_are_the_mean_of_the_batches_own():
 
 def test_release_adds_the_kernel_penalty():
   batch = make_batch()
-  state = train.create_state(jax.random.key(0), 'shape')
+  state = create_state('shape')
   plain, penalised = (float(make_eval('shape', r)(state, batch)['loss']) for r in (PAPER, RELEASE))
   leaves = jax.tree_util.tree_leaves_with_path(state.params)
   kernels = sum(float(jnp.abs(x).sum()) for path, x in leaves if path[-1].key == 'kernel')
@@ -171,14 +184,25 @@ def test_release_adds_the_kernel_penalty():
 def test_schedules():
   samples = jnp.array([0.0, 19_999, 20_000, 60_000, 1e7])
   np.testing.assert_allclose(
-    RELEASE.learning_rate * RELEASE.schedule(samples, 1e9),
+    RELEASE.schedule(RELEASE.learning_rate, 1e9)(samples),
     [3e-4, 3e-4, 2.1e-4, 1.029e-4, 1e-5],
     rtol=1e-5,
   )
   np.testing.assert_allclose(norm_decay(samples, 60), [0.5, 0.5, 0.75, 0.9375, 0.99], rtol=1e-5)
   np.testing.assert_allclose(norm_decay(samples, 12) ** 5, norm_decay(samples, 60), rtol=1e-5)
-  np.testing.assert_allclose(PAPER.learning_rate * PAPER.schedule(samples, 1e9), 3e-4)
-  quarters = cosine(jnp.array([0.0, 25, 50, 100]), 100)
+  np.testing.assert_allclose(PAPER.schedule(PAPER.learning_rate, 1e9)(samples), 3e-4)
+  quarters = cosine(1.0, 100)(jnp.array([0.0, 25, 50, 100]))
   np.testing.assert_allclose(quarters, [1, 0.5 + 0.5**0.5 / 2, 0.5, 0], atol=1e-6)
-  np.testing.assert_allclose(cosine(samples, np.inf), 1)  # no end is known
+  np.testing.assert_allclose(cosine(1.0, np.inf)(samples), 1)  # no end is known
   assert sorted(RECIPES) == ['best', 'paper', 'release']
+
+
+def test_the_learning_rate_is_that_of_the_samples_seen():
+  """Adam's update is the rate itself while the gradient stays the same."""
+  params, size = {'kernel': jnp.zeros(())}, 5000
+  optimizer = train.make_optimizer(RELEASE, batch_size=size)
+  opt_state = optimizer.init(params)
+  for step in range(9):
+    updates, opt_state = optimizer.update({'kernel': jnp.ones(())}, opt_state)
+    rate = 3e-4 * 0.7 ** (step * size // 20000)
+    np.testing.assert_allclose(updates['kernel'], -rate, rtol=1e-5)

@@ -16,11 +16,11 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import checkpoint, data, grid, losses
+from cvn import checkpoint, data, grid, infer, losses, objectives
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
-from experiments.lib import training
+from experiments.lib import cli, training
 
 
 class TrainState(NamedTuple):
@@ -30,8 +30,8 @@ class TrainState(NamedTuple):
   step: Any
 
 
-def create_state(key, kind):
-  del kind
+def create_state(key, network):
+  del network
   params = {'w': jax.random.normal(key, (3,))}
   return TrainState(params, {'mean': jnp.zeros(3)}, optax.adam(1.0).init(params), jnp.int32(0))
 
@@ -44,8 +44,8 @@ def loss_of(params, batch):
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
-def make_step(kind, recipe, *, samples, mixed=False):
-  del kind, samples, mixed
+def make_step(network, objective, recipe, *, total_samples):
+  del network, objective, total_samples
   optimizer = optax.adam(recipe.learning_rate)
 
   @jax.jit
@@ -59,13 +59,13 @@ def make_step(kind, recipe, *, samples, mixed=False):
   return step
 
 
-def make_surface_step(recipe, **options):
-  return make_step('color', recipe, **options)
+def make_surface_step(network, recipe, **options):
+  return make_step(network, None, recipe, **options)
 
 
-def make_eval(kind, recipe):
-  del recipe
-  extra = {'iou': jnp.float32(0.5)} if kind == 'shape' else {}
+def make_eval(network, objective, recipe):
+  del network, recipe
+  extra = {'iou': jnp.float32(0.5)} if objective is objectives.shape else {}
   return jax.jit(lambda state, batch: {'loss': loss_of(state.params, batch), **extra})
 
 
@@ -86,16 +86,9 @@ def made(tmp_path_factory):
   return root
 
 
-def parse(*arguments):
-  values = flags.FlagValues()
-  program.define_flags(values)
-  values(['train', *arguments])
-  return values
-
-
 def run(made, workdir, *arguments, network='shape', epochs=2):
-  return program.run(
-    parse(
+  return program.main(
+    [
       f'--network={network}',
       f'--data={made}',
       f'--workdir={workdir}',
@@ -105,7 +98,7 @@ def run(made, workdir, *arguments, network='shape', epochs=2):
       '--log_every=3',
       '--dtype=float32',
       *arguments,
-    )
+    ]
   )
 
 
@@ -115,7 +108,7 @@ def log_of(workdir):
 
 def arrays_of(workdir):
   """The newest checkpoint, all of it."""
-  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), ''))
+  template = jax.tree.map(jnp.zeros_like, create_state(jax.random.key(0), None))
   return checkpoint.restore(str(workdir), template)
 
 
@@ -225,7 +218,7 @@ def test_interrupt_says_how_to_go_on_and_gives_the_handlers_back(
   before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
   interrupt_at(monkeypatch, 1, signal.SIGINT)
   assert run(made, tmp_path / 'run') == 128 + signal.SIGINT
-  assert 'the same command goes on from here' in capsys.readouterr().err
+  assert 'the same command continues from here' in capsys.readouterr().err
   assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
@@ -311,9 +304,7 @@ def test_the_configuration_is_known_before_the_run(made, tmp_path):
 def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path, monkeypatch):
   renewed = []
 
-  def make_statistics(kind, *, mixed):
-    del kind, mixed
-
+  def make_recalibration(_):
     def renew(state, batches):
       images = np.concatenate([data.decode(b).image for b in batches])
       renewed.append(len(images))
@@ -321,7 +312,7 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
 
     return renew
 
-  monkeypatch.setattr(program.train, 'make_statistics', make_statistics)
+  monkeypatch.setattr(program.train, 'make_recalibration', make_recalibration)
   run(made, tmp_path / 'run', '--fresh_statistics=3', '--validate_every=1', epochs=2)
   assert renewed == [6, 6]
   dataset = program.open_dataset(str(made))
@@ -334,14 +325,13 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
 
 
 def test_flags_change_the_recipe():
-  f = flags.FlagValues()
-  program.define_flags(f)
-  needed = ['--network=shape', '--data=D', '--workdir=W']
-  f(['program', *needed, '--recipe=release', '--learning_rate=0.5', '--schedule=cosine'])
-  recipe = program.make_recipe(f)
+  def make(**named):
+    f = cli.parse(training.define_flags, network='shape', data='D', workdir='W', **named)
+    return training.make_recipe(training.read_flags(f))
+
+  recipe = make(recipe='release', learning_rate=0.5, schedule='cosine')
   assert recipe == RELEASE._replace(learning_rate=0.5, schedule=cosine)
-  f(['program', '--mirror', '--shape_loss=cross_entropy', '--surface_distance=l1'])
-  recipe = program.make_recipe(f)
+  recipe = make(mirror=True, shape_loss='cross_entropy', surface_distance='l1')
   assert recipe.mirror and recipe.shape_loss is losses.cross_entropy
   assert recipe.surface_distance is losses.surface_l1
 
@@ -364,7 +354,7 @@ def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
   (other,) = {*training.DTYPES} - {dtype}
   monkeypatch.setattr(training.native, 'faster_dtype', lambda: (other, ''))
   assert run(made, tmp_path / 'run', '--dtype=auto', epochs=2) == 0
-  assert f'--dtype=auto is {dtype}: {tmp_path / "run"} was begun with it' in capsys.readouterr().out
+  assert f'--dtype=auto is {dtype}: the run in {tmp_path / "run"}' in capsys.readouterr().out
   with pytest.raises(UserError, match=f'dtype={dtype}, not {other}'):
     run(made, tmp_path / 'run', f'--dtype={other}', epochs=3)
 
@@ -376,9 +366,9 @@ def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
 def test_dtype_and_heads_reach_the_step(made, tmp_path, monkeypatch, dtype, heads, name):
   asked = []
 
-  def make(*args, mixed, **kwargs):
-    asked.append(mixed)
-    return make_step('color', args[-1], **kwargs)
+  def make(network, *args, **kwargs):
+    asked.append(network.mixed)
+    return make_step(network, None, args[-1], **kwargs)
 
   monkeypatch.setattr(program.train, name, make)
   run(made, tmp_path / 'run', f'--dtype={dtype}', f'--heads={heads}', network='color', epochs=1)
@@ -420,44 +410,21 @@ def test_out_of_memory(made, tmp_path, monkeypatch):
     run(made, tmp_path / 'run')
 
 
-@pytest.mark.parametrize(
-  'bad',
-  [
-    '--network=both',
-    '--recipe=mine',
-    '--dtype=float16',
-    '--heads=sparse',
-    '--epochs=0',
-    '--batch_size=0',
-    '--batch_size=x',
-    '--learning_rate=-1',
-    '--learning_rate=nan',
-    '--seed=-1',
-    '--checkpoint_every=-1',
-  ],
-)
-def test_bad_flags(bad):
-  with pytest.raises(flags.Error, match=bad[2:].split('=')[0]):
-    parse('--network=shape', '--data=a', '--workdir=b', bad)
-
-
-@pytest.mark.parametrize('missing', ['network', 'data', 'workdir'])
-def test_required_flags(missing):
-  given = {'network': 'shape', 'data': 'a', 'workdir': 'b'}
-  with pytest.raises(flags.Error, match=missing):
-    parse(*(f'--{k}={v}' for k, v in given.items() if k != missing))
+def test_a_learning_rate_must_be_a_positive_number(made, tmp_path):
+  for bad in ('-1', '0', 'nan', 'inf'):
+    with pytest.raises(flags.Error, match='learning_rate'):
+      run(made, tmp_path / 'run', f'--learning_rate={bad}')
 
 
 def test_validation_is_whole_batches_where_it_can_be(made):
   dataset = program.open_dataset(str(made))
 
-  def count(*arguments):
-    f = parse('--network=shape', '--data=a', '--workdir=b', *arguments)
-    return len(program.select_validation(f, dataset))
+  def count(batch_size, maximum=120):
+    options = {'batch_size': batch_size, 'maximum': maximum}
+    return len(program.choose_views(dataset, np.arange(2), **options))
 
-  assert count('--batch_size=2') == 2
-  assert count('--batch_size=60') == 2
-  assert count('--batch_size=2', '--validation_views=1') == 1
+  assert (count(3), count(4), count(60)) == (3, 4, 4)
+  assert (count(2, maximum=3), count(2, maximum=1)) == (2, 1)
 
 
 @pytest.mark.parametrize(('batch_size', 'devices'), [(60, 4), (6, 2), (7, 1)])
@@ -475,7 +442,7 @@ def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices):
 
 def test_mean_over_devices_is_the_mean_on_one(made, tmp_path, monkeypatch):
   run(made, tmp_path / 'two')
-  monkeypatch.setattr(program.jax, 'device_count', lambda: 1)
+  monkeypatch.setattr(jax, 'device_count', lambda: 1)
   run(made, tmp_path / 'one')
   two, one = (
     [line['loss'] for line in log_of(tmp_path / name) if 'loss' in line] for name in ('two', 'one')
@@ -516,6 +483,6 @@ def test_the_real_networks_resume_exactly(made, tmp_path, network, recipe, dtype
   _, expected = checkpoint.load_network(str(tmp_path / 'whole'), network)
   _, got = checkpoint.load_network(str(tmp_path / 'parts'), network)
   jax.tree.map(np.testing.assert_array_equal, got, expected)
-  estimate = getattr(program.reconstruct, f'estimate_{network}')
-  estimated = jax.tree.leaves(estimate(got, np.zeros((1, 128, 128, 4), np.float32)))
-  assert all(x.dtype == jnp.float32 and np.isfinite(x).all() for x in estimated)
+  loaded = infer.load(str(tmp_path / 'parts'), network)
+  estimated = infer.reconstruct(np.zeros((1, 128, 128, 4), np.float32), **{network: loaded})
+  assert all(np.isfinite(x).all() for x in jax.tree.leaves(estimated))

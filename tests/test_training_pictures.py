@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import synthetic
 
-from cvn import data, grid, train
+from cvn import data, grid
+from cvn.infer import Network, Reconstruction
+from cvn.networks import NETWORKS
 from experiments.lib import training_pictures as program
 
 
@@ -15,14 +17,15 @@ def test_pictures_of_a_perfect_network_show_the_truth(tmp_path, monkeypatch, kin
   slots = data.surface_slots(dataset)
   truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
   truth = [grid.to_voxels(t.index, t.color) for t in truth]
-  colors = np.stack([t.color for t in truth])
-  monkeypatch.setattr(program.methods, 'colors', lambda *_: colors)
-  probability = np.stack([t.occupancy for t in truth]).astype(np.float32)
-  monkeypatch.setattr(program.methods, 'score', lambda *_: probability)
+  right = Reconstruction(*[None] * 7)
+  if kind == 'color':
+    right = right._replace(color=np.stack([t.color for t in truth]))
+  else:
+    right = right._replace(occupancy=np.stack([t.occupancy for t in truth]))
+  monkeypatch.setattr(program.infer, 'reconstruct', lambda images, shape, color: right)
   rows = []
   monkeypatch.setattr(program.figures, 'grid_of_images', lambda r, **_: rows.extend(r))
-  state = train.TrainState({}, {}, None, None)
-  program.draw_views(kind, state, dataset, pairs)
+  program.draw_views(Network(kind, NETWORKS[kind](), {}), dataset, pairs)
   for (view, network, right), (row, azimuth) in zip(rows, pairs, strict=True):
     record = dataset.arrays['views'][row, azimuth].read().result()
     np.testing.assert_array_equal(view, np.round(data.composite(record) * 255))

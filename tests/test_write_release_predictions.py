@@ -7,16 +7,16 @@ import h5py
 import numpy as np
 import pytest
 import synthetic
-from absl import flags
 from PIL import Image
 from test_evaluate import save_network
 
-from cvn import checkpoint, dataset, reconstruct
+from cvn import dataset, infer
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
 from datagen import write_release
 from experiments import evaluate
 from experiments import write_release_predictions as program
+from experiments.lib import cli
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 210)
 NAMES = ('0.000', '1.570', '3.663')
@@ -43,10 +43,10 @@ def given(tmp_path_factory):
 
 
 def run(module, *arguments, **named):
-  f = flags.FlagValues()
-  module.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return module.run(f)
+  argv = [*arguments, *(f'--{k}={v}' for k, v in named.items())]
+  if module is write_release:
+    return module.run(cli.parse(module.define_flags, argv))
+  return module.main(argv)
 
 
 @pytest.fixture(scope='module')
@@ -74,12 +74,13 @@ PLACES = {0: '{}/03001627/m0', 1: '{}_human/human/m1', 2: '{}/03001627/m2'}
 
 
 def test_files_hold_the_networks_volumes(given, output):
-  _, shape = checkpoint.load_network(given['shape'], 'shape')
-  _, color = checkpoint.load_network(given['color'], 'color')
+  sizes = {'image_size': IMAGE, 'grid_size': GRID}
+  shape, color = (infer.load(given[kind], kind, **sizes) for kind in ('shape', 'color'))
   for row, place in PLACES.items():
-    views = dataset.read_record(dataset.open_dataset(given['data']), row).views / np.float32(255)
-    expected = reconstruct.estimate_shape(shape, views, grid_size=GRID)
-    colors = reconstruct.estimate_color(color, views, alpha=0.2, grid_size=GRID)
+    views = dataset.read_record(dataset.open_dataset(given['data']), row).views
+    expected = infer.reconstruct(views, shape=shape).probability
+    colors = infer.reconstruct(views, color=color)
+    own = infer.reconstruct(views, color=color, alpha=1).weight
     for v, name in enumerate(NAMES):
       probability = read(output / place.format('output_shape') / f'{name}.h5')
       assert (probability.shape, probability.dtype) == ((GRID,) * 3 + (1,), np.float32)
@@ -87,9 +88,9 @@ def test_files_hold_the_networks_volumes(given, output):
       volume = read(output / place.format('output_color') / f'{name}.h5')
       assert (volume.shape, volume.dtype) == ((GRID,) * 3 + (9,), np.float32)
       np.testing.assert_array_equal(volume[..., :3], colors.regressed[v])
-      np.testing.assert_array_equal(volume[..., 3], 1 - colors.weight[v])
+      np.testing.assert_array_equal(volume[..., 3], 1 - own[v])
       np.testing.assert_array_equal(volume[..., 4:6], colors.flow[v])
-      np.testing.assert_array_equal(volume[..., 6:], colors.blended[v])
+      np.testing.assert_array_equal(volume[..., 6:], colors.color[v])
 
 
 def nearest(points, among):

@@ -1,14 +1,13 @@
 """The paper's methods as trainings and evaluations, for the programs of its tables and figures.
 
-Everything lies below --workdir and is reused by all programs that ask for the same (see
+Everything is below --workdir and is reused by all programs that ask for the same (see
 experiments.lib.runs):
 
   runs/<training>_<category or 'all'>_<seed>                    what experiments.train writes
   scores/<method>_<category or 'all'>_<seed>[_<source>]_<split>[_val].json
                                                                 what experiments.evaluate writes
 
-The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60. --quick
-trains one epoch, to see whether all works.
+The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60.
 """
 
 import os
@@ -18,10 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from absl import flags
 
-from cvn import methods
-from cvn.dataset import Manifest, open_dataset
+from cvn import infer
+from cvn.dataset import open_dataset
 from cvn.errors import UserError
-from cvn.grid import ColoredVoxels
+from cvn.infer import Network, Reconstruction
+from cvn.readouts import COLOR_KINDS, SHAPE_KINDS
 from experiments.lib import runs, scoring
 from experiments.lib.methods import METHODS, TRAININGS
 from experiments.lib.runs import Run
@@ -36,10 +36,10 @@ VALIDATION_VIEWS = 60
 def define_flags(f: flags.FlagValues) -> None:
   """The flags that the programs of tables and figures share."""
   own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('workdir', None, 'The folder of all trainings and results.', **own)
-  flags.DEFINE_bool('quick', False, 'One epoch: whether it works, not how well.', **own)
-  flags.DEFINE_list('category', [], "Categories; all of the data set's by default.", **own)
+  flags.DEFINE_string('data', None, 'Data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'Folder of all trainings and results.', **own)
+  flags.DEFINE_bool('quick', False, 'Train one epoch only, to try the program.', **own)
+  flags.DEFINE_list('category', [], 'Categories; all of the data set by default.', **own)
   flags.DEFINE_enum(
     'models',
     'category',
@@ -47,29 +47,29 @@ def define_flags(f: flags.FlagValues) -> None:
     'Train a model for each category, as the paper does, or one for all categories.',
     **own,
   )
-  flags.DEFINE_list('seeds', ['0'], 'Of everything random; one training each.', **own)
+  flags.DEFINE_list('seeds', ['0'], 'Random seeds, with one training each.', **own)
   flags.DEFINE_list('train_source', [], 'Sources of models to train on; all by default.', **own)
   flags.DEFINE_list(
     'source', [], 'Sources of models to validate and test on; all by default.', **own
   )
-  flags.DEFINE_integer('epochs', 500, 'Of each training.', lower_bound=1, **own)
-  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
-  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
-  flags.DEFINE_integer('fresh_statistics', 0, 'As of experiments.train.', lower_bound=0, **own)
-  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
+  flags.DEFINE_integer('epochs', 500, 'Epochs of each training.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views in a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "First learning rate, instead of the recipes'.", **own)
+  flags.DEFINE_integer('fresh_statistics', 0, 'See experiments.train.', lower_bound=0, **own)
+  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'See experiments.train.', **own)
   flags.DEFINE_enum(
     'threshold',
     'paper',
     ('paper', 'val'),
-    'From which score on a voxel is occupied: what the program of the paper has, 0.8 (of the'
-    ' adapted R2N2 always as chosen on the split val), or chosen on the split val for all.',
+    "Occupancy threshold: the 0.8 of the paper's program (for the adapted R2N2 always chosen on the"
+    ' split val), or chosen on the split val for every method.',
     **own,
   )
   flags.mark_flags_as_required(['data', 'workdir'], f)
 
 
 class Plan(NamedTuple):
-  """On what networks are trained and evaluated, and how."""
+  """How networks are trained and evaluated, and on which data."""
 
   data: str  # the folder or URL of the data set
   workdir: str
@@ -129,10 +129,9 @@ def train(plan: Plan, training: str, category: str, seed: str) -> Run:
     seed: of everything random.
 
   Raises:
-    UserError: the network that is there was trained otherwise.
+    UserError: the folder has a network that was trained otherwise.
   """
   named: dict[str, Any] = {
-    **TRAININGS[training],
     'data': plan.data,
     'workdir': os.path.join(plan.workdir, 'runs', f'{training}_{category}_{seed}'),
     'category': ','.join(plan.categories) if category == ALL else category,
@@ -145,6 +144,7 @@ def train(plan: Plan, training: str, category: str, seed: str) -> Run:
     'fresh_statistics': plan.fresh_statistics,
     'validate_every': max(1, plan.epochs // VALIDATIONS),
     'validation_views': VALIDATION_VIEWS,
+    **TRAININGS[training],
   }
   if plan.learning_rate is not None:
     named['learning_rate'] = plan.learning_rate
@@ -174,7 +174,7 @@ def evaluate(
     The report that experiments.evaluate writes.
 
   Raises:
-    UserError: the networks or scores that are there were made otherwise.
+    UserError: the folder has networks or scores that were made otherwise.
   """
   own = METHODS[method]
   chosen = 'val' in (own.threshold, threshold or plan.threshold)
@@ -198,56 +198,49 @@ def evaluate(
   )
 
 
-class Networks(NamedTuple):
-  """What a method reconstructs with."""
-
-  shape: scoring.Network
-  color: scoring.Network
-  threshold: float  # from which score on a voxel is occupied
-  alpha: float  # of the blend
+Predictor = Callable[[np.ndarray], list[Reconstruction]]  # of views [V, H, W, 4]
 
 
-def load(plan: Plan, method: str, category: str, seed: str) -> Networks:
-  """A method's networks; trains and evaluates what it needs.
+def make_predictor(plan: Plan, method: str, category: str, seed: str) -> Predictor:
+  """A method as a function of views to their reconstructions; trains and evaluates what it needs.
 
   Arguments as of `evaluate`; the method must give colours.
   """
   own = METHODS[method]
   dataset = open_dataset(plan.data)
   report = evaluate(plan, method, category, seed)
-  shape, color = (
-    scoring.load(train(plan, training, category, seed).workdir, kinds, dataset)
-    for training, kinds in (
-      (own.shape, methods.SHAPE_KINDS),
-      (own.color, methods.COLOR_KINDS),
-    )
-  )
-  return Networks(shape, color, report['threshold'], report['alpha'])
+
+  def load(name, kinds):
+    return scoring.load(train(plan, name, category, seed).workdir, kinds, dataset)
+
+  shape = load(own.shape, SHAPE_KINDS)
+  color = shape if own.color == own.shape else load(own.color, COLOR_KINDS)
+  options = {'threshold': report['threshold'], 'alpha': report['alpha']}
+  return bind(method, shape, color, azimuths=dataset.manifest.azimuths, **options)
 
 
-def make_predictor(
-  plan: Plan, method: str, category: str, seed: str
-) -> Callable[[np.ndarray], list[ColoredVoxels]]:
-  """A method as a function of views [V, H, W, 4] in [0, 1] to V coloured shapes.
+def bind(
+  method: str,
+  shape: Network,
+  color: Network,
+  *,
+  threshold: float,
+  alpha: float,
+  azimuths: Sequence[float],
+) -> Predictor:
+  """A method with its networks.
 
-  Arguments as of `load`.
+  Args:
+    method: a key of `METHODS`.
+    shape: its network for shapes.
+    color: its network for colours.
+    threshold: of occupancy.
+    alpha: of the blend.
+    azimuths: of the data set's views, degrees.
   """
-  networks = load(plan, method, category, seed)
-  manifest = open_dataset(plan.data).manifest
-  return lambda views: predict(method, networks, views, manifest)
-
-
-def predict(
-  method: str, networks: Networks, views: np.ndarray, manifest: Manifest
-) -> list[ColoredVoxels]:
-  """What a method makes of views [V, H, W, 4] in [0, 1] of a data set."""
-  own = METHODS[method]
-  shape, color, threshold, alpha = networks
-  scores = scoring.score_views(manifest, shape, views, flip=own.flip, carve=own.carve)
-  options = {'alpha': alpha, 'threshold': threshold, 'flip': own.flip}
-  options['grid_size'] = manifest.grid_size
-  colors = methods.colors(color.kind, color.variables, views, **options)
-  return [ColoredVoxels(s >= threshold, c) for s, c in zip(scores, colors, strict=True)]
+  options = {'threshold': threshold, 'alpha': alpha, 'azimuths': azimuths}
+  options |= {'flip': METHODS[method].flip, 'carve': METHODS[method].carve}
+  return lambda views: infer.split(infer.reconstruct(views, shape=shape, color=color, **options))
 
 
 def trained_for(plan: Plan, wanted: Sequence[str]) -> list[tuple[str, list[str]]]:

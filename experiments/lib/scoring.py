@@ -1,17 +1,15 @@
 """How well networks do on a model of a data set: what experiments.evaluate takes means of."""
 
-import functools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from cvn import checkpoint, grid, methods, metrics, networks
-from cvn.dataset import Dataset, Manifest, Record, read_record
-from cvn.errors import UserError
+from cvn import grid, infer, metrics
+from cvn.dataset import Dataset, Record, read_record
 from cvn.grid import ColoredVoxels
+from cvn.infer import Network
 
 METRICS = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB', 'psnr_ycbcr': 'PSNR YCbCr'}
 
@@ -24,13 +22,6 @@ PROBABILITIES = np.linspace(0.02, 0.98, 49)
 CHANNELS = np.linspace(-0.48, 0.48, 49)
 
 
-class Network(NamedTuple):
-  """A trained network."""
-
-  kind: str  # a key of networks.NETWORKS
-  variables: Any
-
-
 class Baseline(NamedTuple):
   """What a category's training models have in common."""
 
@@ -39,45 +30,18 @@ class Baseline(NamedTuple):
 
 
 def load(workdir: str, kinds: Sequence[str], dataset: Dataset) -> Network:
-  """A network of one of the kinds.
+  """A network of one of the kinds, for the data set's sizes.
 
   Raises:
     UserError: there is none, or it is for data of another size.
   """
-  config, variables = checkpoint.load_network(workdir, *kinds)
   m = dataset.manifest
-  network = networks.NETWORKS[config['network']](m.image_size, m.grid_size)
-  image = jax.ShapeDtypeStruct((1, m.image_size, m.image_size, 3), np.float32)
-  try:
-    jax.eval_shape(functools.partial(network.apply, train=False), variables, image)
-  except Exception as e:  # whichever layer meets the wrong size first
-    raise UserError(
-      f'{workdir} is not for {m.image_size}-pixel views and a grid of {m.grid_size}, as'
-      f' {dataset.root} has them: train on this data set'
-    ) from e
-  return Network(config['network'], jax.device_put(variables))
+  return infer.load(workdir, *kinds, image_size=m.image_size, grid_size=m.grid_size)
 
 
 def to_voxels(record: Record, grid_size: int) -> ColoredVoxels:
   """A record's surface as a volume."""
   return grid.to_voxels(record.surface_index, record.surface_color / 255, size=grid_size)
-
-
-def score_views(
-  manifest: Manifest, shape: Network, views: np.ndarray, *, flip: bool, carve: bool
-) -> np.ndarray:
-  """How occupied voxels are [V, X, Y, Z], of views [V, H, W, 4] in [0, 1] of a data set.
-
-  Args:
-    manifest: of the data set.
-    shape: the network that scores voxels.
-    views: [V, H, W, 4].
-    flip: whether to take means with the mirrored views, see cvn.methods.
-    carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
-  """
-  azimuths = manifest.azimuths if carve else ()
-  options = {'flip': flip, 'carve': azimuths, 'grid_size': manifest.grid_size}
-  return methods.score(shape.kind, shape.variables, views, **options)
 
 
 def threshold_curve(
@@ -94,7 +58,7 @@ def threshold_curve(
     dataset: the open data set.
     rows: of at least one model.
     shape: the network that scores voxels.
-    flip: whether to take means with the mirrored views, see cvn.methods.
+    flip: whether to take means with the mirrored views, see cvn.infer.
     carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
@@ -102,13 +66,13 @@ def threshold_curve(
   """
   candidates = CHANNELS if shape.kind == 'r2n2' else PROBABILITIES
   size = dataset.manifest.grid_size
+  options = {'flip': flip, 'carve': carve, 'azimuths': dataset.manifest.azimuths}
   curves = []
   for row in rows:
     record = read_record(dataset, row)
     true = to_voxels(record, size).occupancy
-    views = record.views.astype(np.float32) / 255
-    scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
-    curves += [metrics.iou_at(s, true, candidates) for s in scores]
+    found = infer.reconstruct(record.views, shape=shape, **options)
+    curves += [metrics.iou_at(p, true, candidates) for p in np.asarray(found.probability)]
   return candidates, np.mean(curves, axis=0)
 
 
@@ -128,19 +92,21 @@ def choose_alpha(
   The first one where no view has any occupied voxel. Arguments as of `score_model`.
   """
   size = dataset.manifest.grid_size
+  options = {'flip': flip, 'carve': carve, 'azimuths': dataset.manifest.azimuths}
+  options['threshold'] = threshold
   found = {alpha: [] for alpha in alphas}
   for row in rows:
     record = read_record(dataset, row)
     true = to_voxels(record, size)
-    views = record.views.astype(np.float32) / 255
-    occupied = [true.occupancy] * len(views)
-    if shape:
-      scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
-      occupied = scores >= threshold
-    partners = [metrics.aligned_colors(o, true) for o in occupied]
-    options = {'flip': flip, 'grid_size': size}
-    blends = methods.blends(color.kind, color.variables, views, alphas, **options)
-    for alpha, colors in zip(alphas, blends, strict=True):
+    results = infer.reconstruct_alphas(record.views, alphas, shape=shape, color=color, **options)
+    partners = None
+    for alpha, result in zip(alphas, results, strict=True):
+      if partners is None:  # the same for every alpha
+        occupied = [true.occupancy] * len(record.views)
+        if shape:
+          occupied = np.asarray(result.occupancy)
+        partners = [metrics.aligned_colors(o, true) for o in occupied]
+      colors = np.asarray(result.color)
       psnrs = [
         metrics.psnr(c[o], p).rgb for c, o, p in zip(colors, occupied, partners, strict=True)
       ]
@@ -170,7 +136,7 @@ def score_model(
     baseline: of the model's category, where it is to be judged, too.
     alpha: of the blend.
     threshold: of the shape network's score.
-    flip: whether to take means with the mirrored views, see cvn.methods.
+    flip: whether to take means with the mirrored views, see cvn.infer.
     carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
@@ -179,28 +145,24 @@ def score_model(
   record = read_record(dataset, row)
   size = dataset.manifest.grid_size
   true = to_voxels(record, size)
-  views = record.views.astype(np.float32) / 255
-  scores = colors = None
-  if shape:
-    scores = score_views(dataset.manifest, shape, views, flip=flip, carve=carve)
-  if color:
-    options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'grid_size': size}
-    colors = methods.colors(color.kind, color.variables, views, **options)
+  options = {'flip': flip, 'carve': carve, 'azimuths': dataset.manifest.azimuths}
+  options |= {'alpha': alpha, 'threshold': threshold}
+  results = infer.split(infer.reconstruct(record.views, shape=shape, color=color, **options))
   found = {'networks': {k: [] for k in METRICS}}
   if baseline:
     found['baselines'] = {k: [] for k in METRICS}
-  for view in range(len(views)):
+  for result in results:
     occupied = true.occupancy
-    if scores is not None:
+    if shape:
       # As in the authors' program: > for the IoU, >= for colours.
-      occupied = scores[view] >= threshold
-      iou = metrics.iou(scores[view] > threshold, true.occupancy)
+      occupied = result.occupancy
+      iou = metrics.iou(result.probability > threshold, true.occupancy)
       found['networks']['iou'].append(float(iou))
       if baseline:
         found['baselines']['iou'].append(float(metrics.iou(baseline.occupancy, true.occupancy)))
-    if colors is not None:
+    if color:
       partner = metrics.aligned_colors(occupied, true)
-      append_psnr(found['networks'], metrics.psnr(colors[view][occupied], partner))
+      append_psnr(found['networks'], metrics.psnr(result.color[occupied], partner))
       if baseline:
         constant = np.broadcast_to(baseline.color, partner.shape)
         append_psnr(found['baselines'], metrics.psnr(constant, partner))

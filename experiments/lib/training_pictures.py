@@ -2,27 +2,28 @@
 
 import numpy as np
 
-from cvn import data, figures, grid, methods
+from cvn import data, figures, grid, infer
 from cvn.dataset import Dataset
+from cvn.infer import Network
+from cvn.readouts import COLOR_KINDS, SHAPE_KINDS
 
 
-def draw_views(kind: str, state, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
+def draw_views(network: Network, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
   """Views, what the network makes of them, and the truth, as one uint8 image [H, W, 3]."""
   slots = data.surface_slots(dataset)
   truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
   images = np.stack([t.image for t in truth])
-  variables = {'params': state.params, 'batch_stats': state.batch_stats}
-  occupied = predicted = [None] * len(truth)
-  if kind in methods.SHAPE_KINDS:
-    occupied = methods.score(kind, variables, images) >= methods.THRESHOLDS[kind]
-  if kind in methods.COLOR_KINDS:
-    predicted = methods.colors(kind, variables, images)
+  found = infer.reconstruct(
+    images,
+    shape=network if network.kind in SHAPE_KINDS else None,
+    color=network if network.kind in COLOR_KINDS else None,
+  )
   lines = []
-  for t, shape, color, (_, view) in zip(truth, occupied, predicted, pairs, strict=True):
+  for t, result, (_, view) in zip(truth, infer.split(found), pairs, strict=True):
     right = grid.to_voxels(t.index, t.color)
     made = grid.ColoredVoxels(
-      right.occupancy if shape is None else shape,
-      np.full_like(right.color, 0.7) if color is None else color,
+      right.occupancy if result.occupancy is None else result.occupancy,
+      np.full_like(right.color, 0.7) if result.color is None else result.color,
     )
     azimuth = dataset.manifest.azimuths[view]
     drawn = [figures.draw_voxels(v, azimuth) for v in (made, right)]

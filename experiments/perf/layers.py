@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cvn import train
 from cvn.camera import IMAGE_SIZE
 from cvn.layers import Collect, Conv2D, Conv3D, Deconv3D, Dense, Norm, PendingNorm, VolumeNorm
 
@@ -81,16 +80,14 @@ def measure_peaks(size: int = 4096, megabytes: int = 256) -> Peaks:
   return Peaks(product(jnp.float32), product(jnp.bfloat16), 2 * x.nbytes / min(seconds))
 
 
-def time_layers(kind: str, batch_size: int, mixed: bool, peaks: Peaks) -> list[Row]:
+def time_layers(network: nn.Module, batch_size: int, peaks: Peaks) -> list[Row]:
   """Times every layer of a network; the order is that of the forward pass.
 
   Args:
-    kind: 'shape' or 'color'.
+    network: from cvn.networks.
     batch_size: views.
-    mixed: whether in mixed precision.
     peaks: of this machine.
   """
-  network = train.NETWORKS[kind].clone(mixed=mixed)
   return [
     _time_layer(layer, peaks, needs_input_gradient=n > 0)
     for n, layer in enumerate(layers_of(network, batch_size))

@@ -22,16 +22,19 @@ import jax
 import jaxlib
 import numpy as np
 
-from cvn import data, environment, reconstruct, train
+from cvn import data, environment, infer, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
 from cvn.machine import processor
+from cvn.networks import NETWORKS
+from cvn.objectives import OBJECTIVES
 from cvn.ops import dispatch, native
 from cvn.recipe import PAPER
 from experiments import train as program
+from experiments.lib import fit
 from experiments.perf import layers
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
@@ -90,7 +93,7 @@ def alone(function: Callable, *args, programs: str | None = None) -> Any:
 
 def _call(function, *args):
   environment.keep_memory()
-  with program.out_of_memory_is_a_user_error():
+  with fit.out_of_memory_is_a_user_error():
     return function(*args)
 
 
@@ -127,9 +130,10 @@ def time_steps(
     implementation: of the layers, see cvn/ops/dispatch.py.
   """
   batch = make_batch(batch_size)
+  network = NETWORKS[kind](mixed=mixed, implementation=implementation)
   state, step = (
-    train.create_state(jax.random.key(0), kind),
-    train.make_step(kind, PAPER, mixed=mixed, implementation=implementation),
+    train.create_state(jax.random.key(0), network),
+    train.make_step(network, OBJECTIVES[kind], PAPER),
   )
   seconds = []
   for _ in range(steps + 1):
@@ -149,18 +153,17 @@ def time_reference(kind: str) -> Steps:
 def time_layers(kind: str, batch_size: int, mixed: bool) -> tuple[layers.Peaks, list[layers.Row]]:
   """The machine's peaks and the layers' times."""
   peaks = layers.measure_peaks()
-  return peaks, layers.time_layers(kind, batch_size, mixed, peaks)
+  return peaks, layers.time_layers(NETWORKS[kind](mixed=mixed), batch_size, peaks)
 
 
 def time_inference(repeats: int) -> tuple[float, ...]:
   """Seconds of each reconstruction of one picture by both networks, after one that is not timed."""
-  states = [train.create_state(jax.random.key(0), kind) for kind in ('shape', 'color')]
-  variables = [{'params': s.params, 'batch_stats': s.batch_stats} for s in states]
+  shape, color = (make_network(kind) for kind in ('shape', 'color'))
   view = np.random.default_rng(0).random((1, IMAGE_SIZE, IMAGE_SIZE, 4), np.float32)
   seconds = []
   for _ in range(repeats + 1):
     start = time.perf_counter()
-    jax.block_until_ready(reconstruct.reconstruct(*variables, view))
+    jax.block_until_ready(infer.reconstruct(view, shape=shape, color=color))
     seconds.append(time.perf_counter() - start)
   return tuple(seconds[1:])
 
@@ -182,9 +185,10 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
   program.check_sizes(dataset)
   rows, read = data.select_rows(dataset, 'train'), READERS[kind]
   batches = data.training_batches(read, dataset, rows, batch_size=batch_size, seed=0)
-  put_batch, put_state = program.make_placement(batch_size)
-  state = put_state(train.create_state(jax.random.key(0), kind))
-  step = train.make_step(kind, PAPER, mixed=mixed)
+  put_batch, put_state = fit.make_placement(batch_size)
+  network = NETWORKS[kind](mixed=mixed)
+  state = put_state(train.create_state(jax.random.key(0), network))
+  step = train.make_step(network, OBJECTIVES[kind], PAPER)
 
   def seconds_a_step(next_batch):
     nonlocal state
@@ -204,6 +208,13 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
       for _ in range(1 + DATA_ROUNDS)
     ][1:]  # the first one warms up
   return DataTimes(*map(statistics.median, zip(*rounds, strict=True)), peak_memory())
+
+
+def make_network(kind: str) -> infer.Network:
+  """A network that was never trained."""
+  module = NETWORKS[kind]()
+  state = train.create_state(jax.random.key(0), module)
+  return infer.Network(kind, module, {'params': state.params, 'batch_stats': state.batch_stats})
 
 
 def make_batch(size: int) -> Batch:

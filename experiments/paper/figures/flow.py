@@ -3,45 +3,40 @@ r"""The paper's Figure "flow_field": the flow of a symmetric object seen from a 
 python -m experiments.paper.figures.flow --data=DIR --workdir=DIR [--category=chair] [--models=all]
   [--epochs=...] [--quick]
 
-Shows the colour code, and on the true surface the target flow and the estimated one with the
-colours that they fetch, from the side that the input shows and, mirrored, from the hidden one:
-where hidden voxels take the colours of their visible counterparts, both look the same. The object
-is the test model whose voxels agree best with their mirror image in x (IoU, to a percent), among
-equals the one with the most hidden voxels whose counterparts are visible. Prints how far the flows
-of those two are apart. Trains what is missing, reuses what is there; the figure goes to
-WORKDIR/figures/flow.png.
+The figure shows the colour code and, on the true surface, the target flow and the estimated flow
+with the colours that they fetch: from the side that the input shows and, mirrored, from the hidden
+side. Both sides look the same where hidden voxels take the colours of their visible counterparts.
+The object is the test model whose voxels agree best with their mirror image in x (IoU, to a
+percent); among equals, the one with the most hidden voxels that have a visible counterpart. The
+program prints the distance between the flows of those pairs. It trains what is missing and reuses
+what is there; the figure goes to WORKDIR/figures/flow.png.
 """
 
-import os
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, environment, errors, figures, metrics, reconstruct, sampler
+from cvn import data, figures, infer, metrics, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments.lib import picks, pictures, protocol, scoring
+from cvn.infer import Network
+from experiments.lib import cli, picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
 
 METHOD, TRAINING = 'blended_0.2', 'blended'
-VIEW = 90  # degrees: of the data set's views the nearest to it is the input
+VIEW = 90  # degrees: the input is the view nearest to this azimuth
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'flow')
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f), name=f.name, tile=f.tile)
 
 
@@ -51,7 +46,7 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   Args:
     plan: how networks are trained.
     name: of the files.
-    tile: pixels of each small picture.
+    tile: size of each small picture in pixels.
 
   Raises:
     UserError: there is no finished test model.
@@ -67,7 +62,7 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   record = read_record(dataset, row)
   found = pictures.find_runs(plan, [pick], (METHOD,), trainings=(TRAINING,))
   network = scoring.load(found[pick.model.category][TRAINING].workdir, ['color'], dataset)
-  flows = {'target': record.flow[view], 'estimated': estimate(network, record, view, size)}
+  flows = {'target': record.flow[view], 'estimated': estimate(network, record, view)}
   hidden, counterpart = find_pairs(record, view, size).T
   pixels = dataset.manifest.image_size
   gaps = {k: pixels * distance(x[hidden], x[counterpart]) for k, x in flows.items()}
@@ -79,15 +74,10 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
     f' from the estimated flow to the target {off:.1f}. {pictures.say_training(found)}'
   )
   print(caption)
-  facts = {
-    'mirror_iou': symmetry,
-    'hidden_voxels': len(hidden),
-    'pixels_to_counterpart': gaps,
-    'pixels_to_target': off,
-    **pictures.describe(plan, [pick], (METHOD,), found),
-  }
+  facts = {'mirror_iou': symmetry, 'hidden_voxels': len(hidden)}
+  facts |= {'pixels_to_counterpart': gaps, 'pixels_to_target': off}
   image = draw(pick, record, flows, grid_size=size, tile=tile)
-  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
+  pictures.write(plan, name, image, caption, [pick], (METHOD,), found, **facts)
 
 
 def choose(dataset: Dataset, rows: Iterable[int], view: int) -> tuple[int, float]:
@@ -120,11 +110,10 @@ def distance(flow: np.ndarray, other: np.ndarray) -> float:
   return float(np.median(np.linalg.norm(flow - other, axis=-1))) if len(flow) else 0.0
 
 
-def estimate(network: scoring.Network, record: Record, view: int, grid_size: int) -> np.ndarray:
+def estimate(network: Network, record: Record, view: int) -> np.ndarray:
   """The network's flow at the true surface voxels, [S, 2]."""
-  image = record.views[view][None].astype(np.float32) / 255
-  found = reconstruct.estimate_color(network.variables, image, grid_size=grid_size)
-  return np.asarray(found.flow)[0][tuple(record.surface_index.T)]
+  found = infer.reconstruct(record.views[view], color=network)
+  return np.asarray(found.flow)[tuple(record.surface_index.T)]
 
 
 def draw(
@@ -158,6 +147,4 @@ def draw(
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

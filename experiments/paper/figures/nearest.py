@@ -3,15 +3,15 @@ r"""The paper's Figure "nn_sampling": colours from the nearest foreground, and f
 python -m experiments.paper.figures.nearest --data=DIR --workdir=DIR [--per_category=1]
   [--models=all] [--epochs=...] [--quick]
 
-Prints, for all views of all test models, the share of reconstructed voxels whose flow points at the
-background, and the surface PSNR of sampled and blended colours with and without the search for the
-nearest foreground. Shown are, of each category, the models with the highest share, each in the view
-where it is highest: the input, colours sampled through the plain flow, from the nearest foreground,
-and the voxels where it points at the background. Trains what is missing, reuses what is there; the
-figure goes to WORKDIR/figures/nearest.png.
+The program prints, over all views of all test models, the share of reconstructed voxels whose flow
+points at the background, and the surface PSNR of sampled and blended colours with and without the
+search for the nearest foreground. The figure shows the models of each category with the highest
+share, each in the view where the share is highest: the input, colours sampled through the plain
+flow and from the nearest foreground, and the voxels whose flow points at the background. The
+program trains what is missing and reuses what is there; the figure goes to
+WORKDIR/figures/nearest.png.
 """
 
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -20,13 +20,14 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, data, environment, errors, figures, metrics, reconstruct, sampler
+from cvn import blending, data, figures, metrics, readouts, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
-from experiments.lib import markdown, picks, pictures, protocol, scoring
+from cvn.infer import Reconstruction
+from experiments.lib import cli, markdown, picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 
 METHOD = 'blended_0.2'
 TITLES = (
@@ -51,17 +52,12 @@ class Sampled(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'nearest')
-  flags.DEFINE_integer('per_category', 1, 'Models of each category to show.', 1, flag_values=f)
+  flags.DEFINE_integer('per_category', 1, 'Models to show of each category.', 1, flag_values=f)
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f), name=f.name, tile=f.tile, per_category=f.per_category)
 
 
@@ -71,7 +67,7 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   Args:
     plan: how networks are trained.
     name: of the files.
-    tile: pixels of each small picture.
+    tile: size of each small picture in pixels.
     per_category: models to show of each category.
 
   Raises:
@@ -82,56 +78,47 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   categories = [dataset.manifest.models[row].category for row in rows]
-  networks = pictures.by_category(
-    plan, categories, lambda c: protocol.load(plan, METHOD, c, plan.seeds[0])
-  )
+  predictors = pictures.find_predictors(plan, categories, METHOD)
   measured = []
   for row, category in zip(
     tqdm(rows, desc='sample', unit='model', disable=None), categories, strict=True
   ):
     record = read_record(dataset, row)
-    measured.append(measure_model(record, networks[category], dataset.manifest.grid_size))
+    measured.append(measure_model(record, predictors[category], dataset.manifest.grid_size))
   summary = summarize(categories, np.array(measured))
   print(f'\n{to_markdown(summary)}\n')
   shown = pick_highest(dataset, rows, np.array(measured)[..., 0], per_category)
-  tiles = [draw_row(dataset, p, networks[p.model.category], tile=tile) for p in shown]
+  tiles = [draw_row(dataset, p, predictors[p.model.category], tile=tile) for p in shown]
   found = pictures.find_runs(plan, shown, (METHOD,))
   caption = (
-    'In each category the test models with the highest mean share of voxels whose flow points at'
+    'The test models of each category with the highest mean share of voxels whose flow points at'
     ' the background, in the view where it is highest. The share is'
     f' {summary["all"]["share"]:.1%} over all views of all {len(rows)} test models.'
     f' {pictures.say_training(found)}'
   )
-  facts = {'measures': summary, **pictures.describe(plan, shown, (METHOD,), found)}
   image = pictures.arrange(tiles, TITLES, shown)
-  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
+  pictures.write(plan, name, image, caption, shown, (METHOD,), found, measures=summary)
 
 
-def sample(networks: protocol.Networks, views: np.ndarray, grid_size: int) -> list[Sampled]:
-  """Reconstructions of views [V, H, W, 4] in [0, 1], coloured in both ways."""
-  found = reconstruct.reconstruct(
-    networks.shape.variables,
-    networks.color.variables,
-    views,
-    alpha=networks.alpha,
-    grid_size=grid_size,
-  )
-  ground = (views[..., 3:] < 0.5).astype(np.float32)  # as in cvn.reconstruct
-  background = sampler.nearest(ground, found.flow)[..., 0] > 0
-  image = views[..., :3] * views[..., 3:] + data.GREY * (1 - views[..., 3:])
-  plain = sampler.nearest(image, found.flow)
-  weight = blending.recalculate_weight(found.weight[..., None], networks.alpha)
-  blended = blending.blend(plain, found.regressed, weight)
-  occupancy = found.probability >= networks.threshold
-  batch = Sampled(occupancy, background, plain, found.sampled, blended, found.blended)
-  return [Sampled(*x) for x in zip(*map(np.asarray, batch), strict=True)]
+def sample(views: np.ndarray, found: Sequence[Reconstruction]) -> list[Sampled]:
+  """Reconstructions of views [V, H, W, 4] uint8, coloured in both ways."""
+  results = []
+  for view, one in zip(views[:, None], found, strict=True):
+    background = 1 - readouts.foreground_of(view)[..., None].astype(np.float32)
+    flow = one.flow[None]
+    plain = sampler.nearest(data.composite(view), flow)
+    blended = blending.blend(plain, one.regressed[None], one.weight[None, ..., None])
+    hit = sampler.nearest(background, flow)[..., 0] > 0
+    arrays = (one.occupancy, hit[0], plain[0], one.sampled, blended[0], one.color)
+    results.append(Sampled(*map(np.asarray, arrays)))
+  return results
 
 
-def measure_model(record: Record, networks: protocol.Networks, grid_size: int) -> np.ndarray:
+def measure_model(record: Record, predict: Predictor, grid_size: int) -> np.ndarray:
   """The `MEASURES` of all views of a model, [V, 5]: NaN where no voxel is occupied."""
   true = scoring.to_voxels(record, grid_size)
   rows = []
-  for one in sample(networks, record.views.astype(np.float32) / 255, grid_size):
+  for one in sample(record.views, predict(record.views)):
     partner = metrics.aligned_colors(one.occupancy, true)
     share = np.mean(one.background[one.occupancy]) if len(partner) else np.nan
     psnrs = [metrics.psnr(colors[one.occupancy], partner).rgb for colors in one[2:]]
@@ -164,9 +151,9 @@ def to_markdown(summary: Mapping[str, Mapping[str, float]]) -> str:
   lines = []
   for name, means in summary.items():
     share, *psnrs = (means[k] for k in MEASURES)
-    cells = ['-'] * 5 if share is None else [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)]
-    lines.append([name, means['models'], *cells])
-  return markdown.table(head, lines)
+    cells = [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)] if share is not None else []
+    lines.append([name, means['models'], *(cells or [markdown.NONE] * len(MEASURES))])
+  return markdown.numbers(head, lines)
 
 
 def pick_highest(
@@ -191,12 +178,10 @@ def pick_highest(
   return found
 
 
-def draw_row(
-  dataset: Dataset, pick: Pick, networks: protocol.Networks, *, tile: int
-) -> list[np.ndarray]:
+def draw_row(dataset: Dataset, pick: Pick, predict: Predictor, *, tile: int) -> list[np.ndarray]:
   """The pictures of one pick, as `TITLES` names them."""
   shown = pictures.read(dataset, pick)
-  one = sample(networks, shown.batch, dataset.manifest.grid_size)[0]
+  (one,) = sample(shown.view[None], predict(shown.view[None]))
   marked = np.where(one.background[..., None], ON_BACKGROUND, ON_FOREGROUND)
   return [
     figures.enlarge(shown.view, tile),
@@ -208,6 +193,4 @@ def draw_row(
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

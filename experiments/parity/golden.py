@@ -8,6 +8,7 @@ import ast
 import re
 import zipfile
 import zlib
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,63 +16,30 @@ import numpy as np
 
 from cvn.camera import IMAGE_SIZE
 from cvn.errors import UserError
-from cvn.grid import GRID_SIZE
+from cvn.grid import GRID_SIZE, PADDING_INDEX
 from cvn.ops.normalization import EPSILON
 
 BATCH = 4
 STRIDE = 7  # between the stored voxels of a network's outputs
 
-# What the files hold: the axes of every array. A number is a size, a letter stands for one size
-# within its file, '*' is any.
-OPS = {
-  'msfcel_logits': 'a b c d 1',
-  'msfcel_target': 'a b c d 1',
-  'msfcel_loss': '',
-  'msfcel_grad': 'a b c d 1',
-  'color_regressed': 'e f g h 3',
-  'color_blended': 'e f g h 3',
-  'color_target': 'e f g h 3',
-  'color_pred_flow': 'e f g h 2',
-  'color_target_flow': 'e f g h 2',
-  'color_loss_l1': '',
-  'deconv3d_x': 'i j k l m',
-  'deconv3d_kernel_dhw_out_in': '3 3 3 n m',
-  'deconv3d_y': 'i * * * n',
-  'conv2d_x': 'o p q r',
-  'conv2d_kernel': 's s r t',
-  'conv2d_y': 'o * * t',
-  'sampler_image': 'u v w x',
-  'sampler_flow_xy': 'u A B C 2',
-  'sampler_nearest_color': 'u A B C x',
-}
-NETWORK = {
-  'seed': '',
-  'names': 'n',
-  'shapes': 'n',
-  'grad_l2': 'n',
-  'loss_total': '',
-  'l1_penalty': '',
-  'adam_losses': 's',
-}
-SHAPE = NETWORK | {'out_logits': '4 10 10 10 1'}
-COLOR = NETWORK | {
-  'out_regressed': '4 10 10 10 3',
-  'out_confidence_of_regressed': '4 10 10 10 1',
-  'out_flow_xy': '4 10 10 10 2',
-  'out_blended': '4 10 10 10 3',
-}
-TEXT = ('names', 'shapes')
-MODEL = {'gt_color': 'n n n 3'}
-VIEW = {
-  'occupancy': 'n n n',
-  'regressed': 'n n n 3',
-  'confidence_of_regressed': 'n n n',
-  'flow_xy': 'n n n 2',
-  'image': 'h w 3',
-  'iou': '',
-  'psnr_rgb': '',
-  'psnr_ycbcr': '',
-}
+# The arrays of each file.
+OPS = (
+  *('msfcel_logits', 'msfcel_target', 'msfcel_loss', 'msfcel_grad'),
+  *('color_regressed', 'color_blended', 'color_target', 'color_pred_flow', 'color_target_flow'),
+  *('color_loss_l1', 'deconv3d_x', 'deconv3d_kernel_dhw_out_in', 'deconv3d_y'),
+  *('conv2d_x', 'conv2d_kernel', 'conv2d_y'),
+  *('sampler_image', 'sampler_flow_xy', 'sampler_nearest_color'),
+)
+NETWORK = ('seed', 'names', 'shapes', 'grad_l2', 'loss_total', 'l1_penalty', 'adam_losses')
+SHAPE = (*NETWORK, 'out_logits')
+COLOR = (
+  *NETWORK,
+  *('out_regressed', 'out_confidence_of_regressed', 'out_flow_xy', 'out_blended'),
+)
+VIEW = (
+  *('occupancy', 'regressed', 'confidence_of_regressed', 'flow_xy', 'image'),
+  *('iou', 'psnr_rgb', 'psnr_ycbcr'),
+)
 
 # The authors' layers and ours; kernels of the first kind are stored [..., out, in].
 TRANSPOSED = {
@@ -98,40 +66,33 @@ VARIABLES = {
 }
 
 
-def read(path: str, spec: dict[str, str] | None) -> dict[str, np.ndarray]:
-  """The arrays of a file, checked against the axes they must have (None: those of metrics.npz).
+def read(path: str, names: Sequence[str] | None) -> dict[str, np.ndarray]:
+  """The arrays of a file.
+
+  Args:
+    path: the .npz file.
+    names: the arrays that it must have; None for those of metrics.npz.
 
   Raises:
-    UserError: the file is missing or garbled, or an array is missing or of another shape.
+    UserError: the file is missing or unreadable, or it lacks an array.
   """
   try:
-    # Opened here: of a garbled file numpy leaves its own handle open.
+    # Opened here because numpy leaks its own handle if the file is damaged.
     with open(path, 'rb') as raw, np.load(raw) as f:
       arrays = {k: f[k] for k in f.files}
   except FileNotFoundError as e:
     raise UserError(f'{path} is missing') from e
   except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as e:
-    raise UserError(f'{path} is no readable .npz file: {e}') from e
-  if spec is None:
+    raise UserError(f'{path} is not a readable .npz file: {e}') from e
+  if names is None:
     found = list_views(arrays)
     if not found:
       raise UserError(f'{path} holds no view: no array is called <model>_v<number>_occupancy')
-    spec = {f'{model}_{k}': v for model, _ in found for k, v in MODEL.items()}
-    spec |= {f'{model}_{view}_{k}': v for model, view in found for k, v in VIEW.items()}
-  sizes: dict[str, int] = {}
-  for name, axes in spec.items():
+    names = [f'{model}_gt_color' for model, _ in found]
+    names += [f'{model}_{view}_{k}' for model, view in found for k in VIEW]
+  for name in names:
     if name not in arrays:
       raise UserError(f'{path} has no array {name}')
-    shape, wanted = arrays[name].shape, axes.split()
-    fits = len(shape) == len(wanted) and all(
-      axis == '*' or size == (int(axis) if axis.isdigit() else sizes.setdefault(axis, size))
-      for axis, size in zip(wanted, shape, strict=True)
-    )
-    if not fits or arrays[name].dtype.kind not in ('U' if name in TEXT else 'fiu'):
-      raise UserError(
-        f'{path}: {name} is {arrays[name].dtype} {list(shape)}, where [{axes}] is due'
-        f' ({", ".join(f"{k}={v}" for k, v in sizes.items()) or "sizes are free"})'
-      )
   return arrays
 
 
@@ -150,6 +111,23 @@ def draw_input(golden: dict[str, np.ndarray]):
   generator = np.random.RandomState(int(golden['seed']) + 7)
   image = generator.rand(BATCH, IMAGE_SIZE, IMAGE_SIZE, 3).astype(np.float32)
   return image, generator.rand(BATCH, *(GRID_SIZE,) * 3, 1) < 0.03, generator
+
+
+def list_voxels(mask: np.ndarray) -> np.ndarray:
+  """The voxels of a mask [B, X, Y, Z, 1] as cvn.data has them, [B, S, 3] int32 and padded."""
+  found = [np.argwhere(m[..., 0]) for m in mask]
+  index = np.full((len(mask), max(map(len, found)), 3), PADDING_INDEX, np.int32)
+  for row, voxels in zip(index, found, strict=True):
+    row[: len(voxels)] = voxels
+  return index
+
+
+def at_voxels(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
+  """A volume [B, X, Y, Z, C] at the voxels [B, S, 3] of `list_voxels`; 0 where padded."""
+  real = index[..., :1] != PADDING_INDEX
+  place = np.where(real, index, 0)
+  found = np.stack([v[tuple(i.T)] for v, i in zip(volume, place, strict=True)])
+  return np.where(real, found, 0)
 
 
 def draw_params(golden: dict[str, np.ndarray], network_params) -> dict:

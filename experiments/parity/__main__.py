@@ -1,16 +1,17 @@
 r"""Compares this project with numbers printed by the authors' program.
 
-python -m experiments.check_parity --golden_dir=DIR
+python -m experiments.parity --golden_dir=DIR
 
-DIR holds ops.npz, net_shape.npz, net_color.npz and metrics.npz (see experiments.golden). Prints one
-line a quantity: name, largest error, tolerance, ok or FAIL; the exit status is 1 if one fails.
+DIR holds ops.npz, net_shape.npz, net_color.npz and metrics.npz (see golden.py). The program prints
+one line for each quantity: name, largest error, tolerance, and ok or FAIL. The exit status is 1 if
+any quantity fails.
 
-Errors are absolute, but for these: gradient norms and Adam losses are relative (a bias in front of
-a batch normalisation has no effect, so its gradient vanishes and is compared absolutely), and
-`blended` is the share of entries that are off by more than 1e-3, for the authors' nearest sampler
-jumps where rounding moves a flow over a pixel's edge. Those jumps would move the colour network's
-gradient norms by up to 2 %, so its loss and gradients are those of volumes rounded as the authors'
-are (see experiments.golden.one_by_one_line); its outputs are compared as they are.
+Errors are absolute with three exceptions. Gradient norms and Adam losses are compared relatively,
+except for a bias in front of a batch normalisation: it has no effect, so its gradient vanishes.
+`blended` is the share of entries that are off by more than 1e-3, because the authors' nearest
+sampler jumps where rounding moves a flow across the edge of a pixel. Those jumps would change the
+colour network's gradient norms by up to 2 %, so its loss and gradients are computed on volumes with
+the authors' rounding (golden.one_by_one_line). Its outputs are compared without that correction.
 """
 
 import functools
@@ -22,16 +23,18 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from absl import flags
 
-from cvn import blending, errors, layers, losses, metrics, sampler
+from cvn import blending, layers, losses, metrics, objectives, sampler, train
+from cvn.data import Batch, ShapeBatch
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
+from cvn.objectives import Objective
 from cvn.ops import deconv, normalization
 from cvn.recipe import RELEASE
-from experiments import golden as files
+from experiments.lib import cli
+from experiments.parity import golden as files
 
 
 class Line(NamedTuple):
@@ -43,25 +46,25 @@ class Line(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
-  flags.DEFINE_string('golden_dir', None, 'The folder of golden values.', flag_values=f)
+  flags.DEFINE_string('golden_dir', None, 'Folder of the golden values.', flag_values=f)
   flags.mark_flags_as_required(['golden_dir'], f)
 
 
-def main(_) -> int:
-  return run(flags.FLAGS)
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> int:
+  return compare(f.golden_dir)
 
 
-def run(f: flags.FlagValues) -> int:
-  """Compares everything; returns the exit status."""
+def compare(folder: str) -> int:
+  """Compares everything in a folder of golden values; returns the exit status."""
   checks = (
     ('ops', files.OPS, check_ops),
     ('metrics', None, check_metrics),
     ('net_shape', files.SHAPE, check_shape),
     ('net_color', files.COLOR, check_color),
   )
-  # All files first: a missing one should not show after minutes.
-  golden = {name: files.read(os.path.join(f.golden_dir, f'{name}.npz'), s) for name, s, _ in checks}
+  # Read all files first, so that a missing one shows at once and not after minutes.
+  golden = {name: files.read(os.path.join(folder, f'{name}.npz'), k) for name, k, _ in checks}
   verdicts = [print_line(name, line) for name, _, check in checks for line in check(golden[name])]
   failed = verdicts.count(False)
   print(f'{len(verdicts)} quantities compared, {failed} out of tolerance', file=sys.stderr)
@@ -148,7 +151,9 @@ def check_shape(golden: dict[str, np.ndarray]) -> Iterator[Line]:
     logits, _ = _forward(network, params, image)
     return losses.msfcel(logits, mask)
 
-  yield from check_training(golden, params, loss, (image, mask), gradient_tolerance=1e-3)
+  yield from check_gradients(golden, params, loss, (image, mask), tolerance=1e-3)
+  batch = ShapeBatch(image, files.list_voxels(mask))
+  yield from check_steps(golden, network, objectives.shape, params, batch)
 
 
 def check_color(golden: dict[str, np.ndarray]) -> Iterator[Line]:
@@ -186,11 +191,14 @@ def check_color(golden: dict[str, np.ndarray]) -> Iterator[Line]:
     files.one_by_one_line(volumes.flow, params['flow']['deconv'], stats['flow']['deconv']),
   )
   inputs = (image, mask, color, flow, lines)
-  yield from check_training(golden, params, loss, inputs, gradient_tolerance=5e-3)
+  yield from check_gradients(golden, params, loss, inputs, tolerance=5e-3)
+  index = files.list_voxels(mask)
+  batch = Batch(image, index, files.at_voxels(color, index), files.at_voxels(flow, index))
+  yield from check_steps(golden, network, objectives.color, params, batch)
 
 
 def draw_params(golden: dict[str, np.ndarray], network) -> dict:
-  """The network's parameters as the golden values' rule draws them."""
+  """The network's parameters, drawn by the rule of the golden values."""
   image = jnp.zeros((1, network.image_size, network.image_size, 3))
   shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), image, train=False))
   return files.draw_params(golden, shapes['params'])
@@ -208,39 +216,30 @@ def compare_outputs(golden: dict[str, np.ndarray], outputs: dict[str, jax.Array]
       yield Line(f'out_{name}', largest_error(stored, target), 5e-4)
 
 
-def check_training(
-  golden: dict[str, np.ndarray], params, loss: Callable, inputs, *, gradient_tolerance: float
+def check_gradients(
+  golden: dict[str, np.ndarray], params, loss: Callable, inputs, *, tolerance: float
 ) -> Iterator[Line]:
-  """Loss, gradients and Adam steps.
+  """Loss, penalty and gradient norms.
 
   Args:
     golden: the file's arrays.
     params: the network's parameters.
-    loss: (params, *inputs) -> the loss without the penalty of the kernels.
+    loss: (params, *inputs) -> the loss without the kernel penalty.
     inputs: image and targets.
-    gradient_tolerance: relative, of each variable's gradient norm.
+    tolerance: relative, of each variable's gradient norm.
   """
-  optimizer = optax.adam(3e-4, b1=0.9, b2=0.999, eps=1e-8)
-
-  def total_loss(params, inputs):
-    penalty = RELEASE.kernel_penalty * sum(
-      jnp.sum(jnp.abs(x)) for name, x in files.flatten(params).items() if name.endswith('/kernel')
-    )
-    return loss(params, *inputs) + penalty, penalty
 
   @jax.jit
-  def step(params, state, inputs):
-    (value, penalty), grads = jax.value_and_grad(total_loss, has_aux=True)(params, inputs)
-    updates, state = optimizer.update(grads, state)
-    norms = {k: jnp.sqrt(jnp.sum(g**2)) for k, g in files.flatten(grads).items()}
-    return optax.apply_updates(params, updates), state, (value, penalty, norms)
+  def evaluate(params, inputs):
+    def total_loss(params):
+      penalty = RELEASE.kernel_penalty * train.kernel_sum(params)
+      return loss(params, *inputs) + penalty, penalty
 
-  state = optimizer.init(params)
-  seen = []
-  for _ in golden['adam_losses']:
-    params, state, one = step(params, state, inputs)
-    seen.append(one)
-  value, penalty, norms = seen[0]
+    (value, penalty), grads = jax.value_and_grad(total_loss, has_aux=True)(params)
+    norms = {k: jnp.sqrt(jnp.sum(g**2)) for k, g in files.flatten(grads).items()}
+    return value, penalty, norms
+
+  value, penalty, norms = evaluate(params, inputs)
   yield Line('l1_penalty', largest_error(penalty, golden['l1_penalty']), 5e-4)
   yield Line('loss_total', largest_error(value, golden['loss_total']), 5e-4)
   for name, target in zip(golden['names'].tolist(), golden['grad_l2'], strict=True):
@@ -248,9 +247,26 @@ def check_training(
     if name.endswith('/biases'):
       yield Line(f'grad_l2/{name}', largest_error(norm, target), 1e-6)
     else:
-      yield Line(f'grad_l2/{name}', relative_error(norm, target), gradient_tolerance)
-  for i, ((value, _, _), target) in enumerate(zip(seen, golden['adam_losses'], strict=True)):
-    yield Line(f'adam_losses/{i}', relative_error(value, target), 1e-3)
+      yield Line(f'grad_l2/{name}', relative_error(norm, target), tolerance)
+
+
+def check_steps(
+  golden: dict[str, np.ndarray], network, objective: Objective, params, batch
+) -> Iterator[Line]:
+  """The losses of a few Adam steps, by the step that experiments.train takes.
+
+  Args:
+    golden: the file's arrays.
+    network: from cvn.networks.
+    objective: from cvn.objectives.
+    params: the network's parameters.
+    batch: image and targets, decoded.
+  """
+  step = train.make_step(network, objective, RELEASE)
+  state = train.create_state(jax.random.key(0), network)._replace(params=params)
+  for i, target in enumerate(golden['adam_losses']):
+    state, metrics = step(state, batch)
+    yield Line(f'adam_losses/{i}', relative_error(metrics['loss'], target), 1e-3)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -278,5 +294,4 @@ def relative_error(value, target) -> float:
 
 
 if __name__ == '__main__':
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()
