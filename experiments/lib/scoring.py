@@ -189,7 +189,9 @@ def score_model(
       append_pictures(own, ColoredVoxels(occupied, result.color), as_drawn)
 
   if baseline and shape:
-    constant = ColoredVoxels(baseline.occupancy, np.broadcast_to(baseline.color, (size,) * 3 + (3,)))
+    constant = ColoredVoxels(
+      baseline.occupancy, np.broadcast_to(baseline.color, (size,) * 3 + (3,))
+    )
     repeat(found, 'baselines', score_voxels(constant, true, as_drawn, colors=False), len(results))
   if memory:
     score_row = functools.cache(
