@@ -13,7 +13,10 @@ from cvn.dataset import SPLITS, Dataset, digest, open_dataset
 from experiments.lib import cli
 
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
-STORED = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
+STORED = (
+  *('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve'),
+  *('baselines', 'retrieval', 'pictures'),
+)
 
 
 class Settings(NamedTuple):
@@ -30,6 +33,8 @@ class Settings(NamedTuple):
   flip: bool
   carve: bool
   baselines: bool
+  retrieval: bool
+  pictures: bool
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -62,6 +67,18 @@ def define_flags(f: flags.FlagValues) -> None:
     **own,
   )
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines as well.', **own)
+  flags.DEFINE_bool(
+    'retrieval',
+    False,
+    'Evaluate training models that are looked up as well; needs --shape.',
+    **own,
+  )
+  flags.DEFINE_bool(
+    'pictures',
+    False,
+    'Compare pictures of the results from all azimuths; needs --shape and --color.',
+    **own,
+  )
   flags.DEFINE_string('json', None, 'File for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
   flags.register_validator('alpha', is_alpha, "must be in (0, 1], or 'val'", f)
