@@ -182,6 +182,15 @@ def test_points_are_the_nearest_of_the_surface():
   assert (far - least < SLACK).mean() > 0.98
 
 
+def test_points_of_a_thin_rod_are_beside_their_voxels():
+  """A rod between the centres of four rows of voxels, which no centre is within half a voxel of."""
+  side = 0.02 / GRID_SIZE
+  voxels = voxelize(textured(trimesh.creation.box((side, side, 0.9))))
+  center = index_to_world(voxels.index.astype(float))
+  far = np.linalg.norm(voxels.point - center, axis=-1) * GRID_SIZE
+  assert far.max() <= np.sqrt(0.5) + SLACK
+
+
 def test_subdividing_faces_changes_colors_little():
   """Same surface, other triangles: the same colours on the voxels that both have."""
   coarse = trimesh.creation.box((0.9, 0.7, 0.5))
