@@ -162,7 +162,7 @@ def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
     (tmp_path / 'in' / f'{name}.obj').write_text('mtllib x.mtl\n' + solid.format(material))
   generate.run(parsed(*arguments(tmp_path / 'in', tmp_path / 'out')))
   out = capsys.readouterr().out
-  assert '1 models name files or materials that are not there\n' in out
+  assert '1 models name files or materials that do not exist\n' in out
   assert f'1 models: {notes.MATERIAL_GUESSED}\n' in out
   dataset = dataset_lib.open_dataset(str(tmp_path / 'out'))
   facts = [dataset_lib.read_record(dataset, row).facts for row in range(3)]
@@ -173,7 +173,7 @@ def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
 def test_all_failed(tmp_path, threads):
   (tmp_path / 'meshes').mkdir()
   (tmp_path / 'meshes' / 'empty.obj').write_text('v 0 0 0\n')
-  with pytest.raises(UserError, match='not one of 1 models could be made; empty: '):
+  with pytest.raises(UserError, match='none of 1 models could be made; empty: '):
     generate.run(parsed(*arguments(tmp_path / 'meshes', tmp_path / 'output')))
 
 
@@ -182,7 +182,7 @@ def test_splits_from_files(meshes, tmp_path):
   with pytest.raises(UserError, match='list_box'):
     generate.run(f)
   (tmp_path / 'train_list_box.txt').write_text('d\n')
-  with pytest.raises(UserError, match='names a or another'):
+  with pytest.raises(UserError, match='name none of the models, such as a'):
     generate.run(f)
   (tmp_path / 'test_list_box.txt').write_text('c\n')
   (tmp_path / 'val_list_box.txt').write_text('broken\n')
@@ -423,7 +423,7 @@ def test_several_categories_are_subfolders(meshes, tmp_path, threads):
   assert {(m.split, m.licence, m.creator) for m in models} == {('test', 'CC0', 'Anna')}
   with pytest.raises(UserError, match='has no subfolder table'):
     generate.run(parsed('--source=meshes', '--category=car,table', *flags))
-  with pytest.raises(UserError, match='is no name'):
+  with pytest.raises(UserError, match='is not a name'):
     generate.run(parsed('--source=meshes', '--category=car|human', *flags))
 
 
@@ -539,5 +539,5 @@ def test_a_job_whose_worker_is_lost_again_and_again():
 
 def test_a_lost_scheduler_ends_the_run():
   jobs = [Job('', 0, None, '', None, None)]
-  with pytest.raises(UserError, match='the same command goes on'):
+  with pytest.raises(UserError, match='repeat the command'):
     list(run_jobs(jobs, lambda _: LostExecutor(CancelledError()), 2))
