@@ -79,7 +79,7 @@ class Facts(NamedTuple):
   faces: float = 0  # triangles with an area
   missing: float = 0  # files of textures and materials that are named but not there
   volume: float = 0  # signed, of its bounding box's: below 0 where faces look inwards
-  notes: float = 0  # bits of what its reader ignored or guessed (datagen/notes.py)
+  notes: float = 0  # bits of what its reader ignored or guessed (datagen/reading/notes.py)
 
 
 class Record(NamedTuple):

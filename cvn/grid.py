@@ -47,7 +47,7 @@ def index_to_world(index: Any, *, size: int = GRID_SIZE) -> Any:
   >>> index_to_world(np.array([0, 32, 63]))
   array([-0.4921875,  0.0078125,  0.4921875])
   """
-  return (index + 0.5) / size - 0.5
+  return (2 * index + 1) / (2 * size) - 0.5  # whole numbers as long as possible: no promotion
 
 
 def world_to_grid(points: Any, *, size: int = GRID_SIZE) -> Any:

@@ -29,7 +29,7 @@ from cvn.dataset import SURFACE_CAPACITY, Manifest, Model
 from cvn.grid import GRID_SIZE
 from cvn.ops import compile as compiling
 from datagen.executors import process_executor
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.pipeline import make_record
 
 MEMORY = 16 << 30  # bytes a worker may have; the largest meshes need a few of them

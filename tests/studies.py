@@ -3,12 +3,12 @@
 import numpy as np
 import synthetic
 import workdirs
-from absl import flags
 
 from cvn.grid import ColoredVoxels
+from experiments.lib import protocol
 from experiments.lib.runs import Run
 from experiments.study import __main__ as user_study
-from experiments.study import shapes as study_shapes
+from experiments.study import turntables
 
 COLORS = {'blended_0.2': (0.9, 0.2, 0.2), 'regression': (0.2, 0.9, 0.2), 'flow': (0.2, 0.2, 0.9)}
 SIZE = 48  # pixels of drawings
@@ -36,12 +36,9 @@ def make_data(tmp_path):
   )
 
 
-def parse(define_flags, tmp_path, *more: str) -> flags.FlagValues:
-  """A program's flags."""
-  f = flags.FlagValues()
-  define_flags(f)
-  f(['program', f'--data={tmp_path / "data"}', f'--workdir={tmp_path / "work"}', *more])
-  return f
+def run(tmp_path, *more: str) -> None:
+  """Runs experiments.study."""
+  user_study.main([f'--data={tmp_path / "data"}', f'--workdir={tmp_path / "work"}', *more])
 
 
 def without_networks(monkeypatch) -> list:
@@ -56,19 +53,16 @@ def without_networks(monkeypatch) -> list:
     del plan, seed
     return Run(f'{training}_{category}_0', workdirs.CONFIG, 4)
 
-  monkeypatch.setattr(study_shapes.protocol, 'make_predictor', make_predictor)
-  monkeypatch.setattr(study_shapes.protocol, 'train', train)
+  monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
+  monkeypatch.setattr(protocol, 'train', train)
   return asked
 
 
 def make_study(tmp_path, monkeypatch, *more: str) -> str:
   """Runs experiments.study; returns its folder."""
   without_networks(monkeypatch)
-  monkeypatch.setattr(user_study, 'FRAMES', FRAMES)  # fewer, to be quick
+  monkeypatch.setattr(turntables, 'FRAMES', FRAMES)  # fewer, to be quick
   make_data(tmp_path)
   folder = tmp_path / 'study'
-  f = parse(
-    user_study.define_flags, tmp_path, '--models=all', f'--size={SIZE}', f'--output={folder}', *more
-  )
-  assert user_study.run(f) == 0
+  run(tmp_path, '--models=all', f'--size={SIZE}', f'--output={folder}', *more)
   return str(folder)

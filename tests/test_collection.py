@@ -1,20 +1,13 @@
 """The program that makes the experiments' data: what it asks of datagen.generate, and its lists."""
 
 import pytest
-from absl import flags
 
 from cvn.errors import UserError
 from datagen.sources import SourceModel
 from datagen.sources.furniture_catalogue import Piece
 from datagen.splits import read_splits
 from experiments import collection as program
-
-
-def run(*arguments):
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments])
-  program.run(f)
+from experiments.lib import stages
 
 
 @pytest.fixture
@@ -47,7 +40,9 @@ def test_real_and_procedural_models_share_a_data_set_and_people_have_their_own(
   monkeypatch.setattr(
     program, 'list_models', lambda source, _, __, limit, seed: models[source, limit, seed]
   )
-  run('--sweethome3d=LIBRARIES', '--humans=W.whl', '--procedural=5', f'--output={tmp_path}')
+  program.main(
+    ['--sweethome3d=LIBRARIES', '--humans=W.whl', '--procedural=5', f'--output={tmp_path}']
+  )
   assert [x['source'] for x in asked] == ['sweethome3d', 'procedural', 'humans', 'humans']
   assert [x['append'] for x in asked] == ['false', 'true', 'false', 'true']
   assert [(x.get('limit'), x.get('seed')) for x in asked[1:]] == [(5, None), (300, None), (30, 1)]
@@ -56,9 +51,10 @@ def test_real_and_procedural_models_share_a_data_set_and_people_have_their_own(
   assert read_splits(asked[-1]['splits'], 'human') == {m.id: 'val' for m in more}
   lists = read_splits(str(tmp_path / 'splits'), 'chair')
   assert lists['chair0'] == lists['chair1'] != lists['bench']
+  assert stages.read_json(str(tmp_path / 'collection.json')) == {'argv': stages.argv()}
 
 
 def test_nothing_to_make_is_said(asked, tmp_path):
   with pytest.raises(UserError, match='nothing to make'):
-    run('--procedural=0', f'--output={tmp_path}')
+    program.main(['--procedural=0', f'--output={tmp_path}'])
   assert asked == []

@@ -1,108 +1,82 @@
 """The demonstration's page and the small steps around the programs it runs."""
 
 import base64
-import json
+import os
 import re
-from html.parser import HTMLParser
 
+import markdown_cells
 import numpy as np
+import pages
 import pytest
 import synthetic
+import workdirs
+from PIL import Image
 
 from cvn import dataset, export, grid, photo
 from cvn.errors import UserError
-from experiments import demo, demo_page
-from experiments.lib import assets
+from experiments import demo
+from experiments.lib import stages
 
 
-def _page(**changes):
-  png = assets.to_png(np.full((3, 5, 3), 100, np.uint8))
-  page = demo_page.Page(
-    about='made of <b>&',
-    verdict='Better.',
-    success=True,
-    examples=[
-      demo_page.Example('first', png, png, b'glTF one', ['models/a.glb', 'models/a.ply']),
-      demo_page.Example('"second"', png, png, b'glTF two', []),
-    ],
-    table=demo_page.Table(['IoU'], [('networks', ['0.5']), ('baseline', ['0.25'])], [0]),
-    curves=[demo_page.Curve('loss', [(1, 0.5), (2, 0.25)], [(2, 0.4)])],
-    contact_sheet=png,
-    commands=[('python -m a --b=<c>', 30.0), ('python -m d', 90.0)],
-  )
-  return demo_page.render(page._replace(**changes))
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+  """(exit status, page, commands) of a demonstration whose programs leave small files."""
+  ran = []
+
+  def run_program(folder, program, **named):
+    ran.append((program, named))
+    line = f'python -m {program} --step={len(ran)}'
+    seconds = stages.read_seconds(folder) | {line: 30}
+    stages.write_json(os.path.join(folder, 'seconds.json'), seconds)
+    if program == 'datagen.generate':
+      synthetic.make_dataset(named['output'], 4, splits=('train', 'test'))
+      Image.new('RGB', (5, 3)).save(os.path.join(named['output'], 'contact_sheet.png'))
+    elif program == 'experiments.train':
+      config = workdirs.CONFIG | {'network': named['network']}
+      os.makedirs(os.path.join(named['workdir'], 'checkpoints', '4'))
+      stages.write_json(os.path.join(named['workdir'], 'config.json'), config)
+      with open(os.path.join(named['workdir'], 'log.jsonl'), 'w') as f:
+        f.write('{"step": 4, "epoch": 2, "loss": 0.5}\n')
+        f.write('{"step": 4, "epoch": 2, "validation": {"loss": 1, "iou": 0.25}}\n')
+    elif program == 'experiments.evaluate':
+      found = evaluation(0.3, 13.5) | {'threshold': 0.4, 'alpha': 0.6}
+      stages.write_json(named['json'], found)
+    else:
+      voxels = grid.ColoredVoxels(np.ones((2,) * 3, bool), np.ones((2, 2, 2, 3)))
+      for path in named['image'].split(','):
+        stem = os.path.join(named['output'], os.path.splitext(os.path.basename(path))[0])
+        export.write_glb(f'{stem}.glb', voxels)
+        Image.new('RGB', (40, 30)).save(f'{stem}.png')
+    return line
+
+  monkeypatch.setattr(stages, 'run_program', run_program)
+  status = demo.main([f'--output={tmp_path / "demo"}', '--category=ball', '--pictures=2'])
+  return status, (tmp_path / 'demo/index.html').read_text(), ran
 
 
-class _Tags(HTMLParser):
-  """Collects tags, and complains of those that are not closed in order."""
-
-  VOID = ('meta', 'img', 'br', 'link')
-
-  def __init__(self, text):
-    super().__init__()
-    self.tags, self.open = [], []
-    self.feed(text)
-    self.close()
-    assert self.open == []
-
-  def handle_starttag(self, tag, attrs):
-    self.tags.append((tag, dict(attrs)))
-    if tag not in self.VOID:
-      self.open.append(tag)
-
-  def handle_startendtag(self, tag, attrs):
-    self.tags.append((tag, dict(attrs)))
-
-  def handle_endtag(self, tag):
-    assert self.open.pop() == tag
+def test_the_programs_run_one_after_the_other(made):
+  status, _, ran = made
+  programs = [p.rpartition('.')[2] for p, _ in ran]
+  assert status == 0 and programs == ['generate', 'train', 'train', 'evaluate', 'reconstruct']
+  assert [n['network'] for p, n in ran if p.endswith('train')] == ['shape', 'color']
+  assert 'threshold' not in ran[3][1]  # no models of the split val to choose it on
+  chosen = {k: ran[4][1][k] for k in ('threshold', 'alpha', 'flip')}
+  assert chosen == {'threshold': 0.4, 'alpha': 0.6, 'flip': 'true'}
 
 
-def test_page_is_well_formed_and_needs_nothing_from_elsewhere():
-  text = _page()
-  tags = _Tags(text).tags
-  for tag, attributes in tags:
-    if 'src' in attributes:
-      assert attributes['src'].startswith('data:image/png;base64,')
-    assert tag != 'link'
-  loads = re.findall(r'(?:src|url)\s*[=(]\s*["\']?(?!#|data:)\w+', text)
-  assert loads == []
-  links = [a['href'] for t, a in tags if t == 'a']
-  assert links == ['models/a.glb', 'models/a.ply']
-
-
-def test_page_embeds_each_model_for_its_viewer():
-  text = _page()
-  tags = _Tags(text).tags
-  viewers = [a['data-glb'] for t, a in tags if t == 'canvas']
-  assert len(viewers) == 2
-  for name, data in zip(viewers, (b'glTF one', b'glTF two'), strict=True):
-    (found,) = re.findall(f'id="{name}">(.*?)</script>', text)
-    assert base64.b64decode(found) == data
-
-
-def test_page_shows_text_as_text():
-  text = _page()
-  assert 'made of &lt;b&gt;&amp;' in text and 'python -m a --b=&lt;c&gt;' in text
-  assert '<h2>Commands, 2.0 min in all</h2>' in text
-
-
-def test_page_sets_the_best_in_bold_and_marks_failure():
-  assert '<td class="best">0.5</td>' in _page() and '<td>0.25</td>' in _page()
-  assert 'class="verdict good"' in _page()
-  assert 'class="verdict bad"' in _page(success=False)
-
-
-def test_curves_come_from_the_log(tmp_path):
-  path = tmp_path / 'log.jsonl'
-  lines = [
-    {'step': 1, 'epoch': 0.5, 'loss': 3.0},
-    {'step': 2, 'epoch': 1.0, 'loss': 2.0},
-    {'step': 2, 'epoch': 1.0, 'validation': {'loss': 2.5, 'iou': 0.25, 'other': 1}},
-  ]
-  path.write_text(''.join(json.dumps(x) + '\n' for x in lines))
-  loss, iou = demo.read_curves('shape', str(path))
-  assert loss[1:] == ([(0.5, 3.0), (1.0, 2.0)], [(1.0, 2.5)])
-  assert iou == ('shape network: IoU', [], [(1.0, 0.25)])
+def test_the_page_needs_nothing_but_the_files_it_offers(made):
+  _, page, _ = made
+  names = [f'models/m{n}_{a}.{s}' for n, a in ((1, 30), (3, 330)) for s in ('glb', 'ply', 'png')]
+  tags = pages.check_alone(page, links=names)
+  assert [a['href'] for t, a in tags if t == 'a' and a['href'][0] != '#'] == names
+  canvases = [a['data-glb'] for t, a in tags if t == 'canvas']
+  assert canvases == ['m1_30', 'm3_330']
+  for name in canvases:
+    (glb,) = re.findall(f'id="{name}">(.*?)</script>', page)
+    assert base64.b64decode(glb).startswith(b'glTF')
+  titles = re.findall(r'>(?:shape|color): (?:loss|IoU)<', page)
+  assert titles == ['>shape: loss<', '>shape: IoU<', '>color: loss<', '>color: IoU<']
+  assert 'Commands, 2 min in all' in page and '--step=5  # 30 s' in page
 
 
 def test_pictures_are_held_out_views_and_come_back_as_written(tmp_path):
@@ -122,37 +96,33 @@ def test_no_held_out_object(tmp_path):
     demo.choose(made, 2)
 
 
-def test_example_takes_the_pictures_files(tmp_path):
-  made = synthetic.make_dataset(tmp_path / 'data', 1, splits=('test',))
-  (picture,) = demo.choose(made, 6)
-  voxels = grid.ColoredVoxels(np.ones((2,) * 3, bool), np.ones((2, 2, 2, 3)))
-  stem = str(tmp_path / 'models' / demo.name_of(picture))
-  export.write_glb(f'{stem}.glb', voxels)
-  with open(f'{stem}.png', 'wb') as f:
-    f.write(b'panel')
-  example = demo.make_example(made, picture, str(tmp_path / 'models'), str(tmp_path))
-  assert example.name == 'm0, seen from 30°'
-  assert example.panel == b'panel' and example.glb.startswith(b'glTF')
-  assert list(example.links) == [f'models/m0_30.{s}' for s in ('glb', 'ply', 'png')]
-
-
-def _evaluation(iou, psnr):
+def evaluation(iou, psnr):
   ours = {'iou': iou, 'psnr_rgb': psnr, 'psnr_ycbcr': psnr}
   trivial = {'iou': 0.2, 'psnr_rgb': 12.0, 'psnr_ycbcr': 13.0}
   return {'models': 3, 'views': 12, 'networks': {'total': ours}, 'baselines': {'total': trivial}}
 
 
 @pytest.mark.parametrize(
-  'iou, psnr, success', [(0.3, 13.5, True), (0.2, 13.5, False), (0.3, 12.5, False)]
+  'iou, psnr, better',
+  [
+    (0.3, 13.5, [True] * 3),
+    (0.2, 13.5, [False, True, True]),
+    (0.3, 12.5, [True, True, False]),
+    (0.3, None, [True, False, False]),
+  ],
 )
-def test_verdict_needs_all_measures_above_the_baselines(iou, psnr, success):
-  table, found, verdict = demo.judge(_evaluation(iou, psnr))
-  assert found == success
-  assert ('NOT' in verdict) != success
-  assert table.rows[0][1][0] == f'{iou:.3f}' and table.rows[1][1][0] == '0.200'
-  assert table.best[0] == (0 if iou > 0.2 else 1)
-
-
-def test_verdict_without_any_voxel():
-  table, success, verdict = demo.judge(_evaluation(0.3, None))
-  assert not success and 'none' in verdict and table.rows[0][1][1] == 'none'
+def test_success_needs_every_measure_above_its_baseline(iou, psnr, better):
+  report = evaluation(iou, psnr)
+  found = demo.find_better(report)
+  assert [*found.values()] == better
+  text = demo.make_table(report, found)
+  (table,) = markdown_cells.read(text)
+  shown = 'none' if psnr is None else f'{psnr:.2f} dB'
+  assert table[1:] == [
+    ['networks', f'{iou:.3f}', shown, shown],
+    ['mean training shape and mean training colour', '0.200', '12.00 dB', '13.00 dB'],
+  ]
+  rows = text.splitlines()[2:]
+  bold = [[cell.startswith(' **') for cell in row.split('|')[2:-1]] for row in rows]
+  assert bold == [better, [not b for b in better]]
+  assert demo.say_verdict(report, found).startswith('NOT ') != all(better)

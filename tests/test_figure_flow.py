@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_figure_random import GRID, make_workdir, parse, read_figure, save_networks
+from test_figure_random import GRID, make_workdir, read_figure, run, save_networks
 
 from cvn import dataset
 from experiments.lib import picks
@@ -50,7 +50,7 @@ def test_the_distance_is_the_median():
 def test_the_figure_tells_what_it_shows(tmp_path, monkeypatch, capsys):
   given = make_workdir(tmp_path, monkeypatch)
   save_networks(given, 'car', 'blended')
-  figure_flow.run(parse(figure_flow, '--category=car', tile=48, **given))
+  run(figure_flow, '--category=car', tile=48, **given)
   image, facts = read_figure(given, 'flow')
   assert (image < 100).any()
   assert [(r['category'], r['azimuth']) for r in facts['rows']] == [('car', 90)]

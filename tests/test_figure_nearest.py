@@ -1,8 +1,9 @@
 """Nearest-foreground sampling with and without: the measures and the choice of models."""
 
+import markdown_cells
 import numpy as np
 import pytest
-from test_figure_random import AZIMUTHS, GRID, IMAGE, make_workdir, parse, read_figure
+from test_figure_random import AZIMUTHS, GRID, IMAGE, make_workdir, read_figure, run
 
 from cvn import data, dataset, metrics
 from cvn.infer import Reconstruction
@@ -66,9 +67,9 @@ def test_means_are_over_views_that_have_voxels():
   assert summary['car']['models'] == 2 and summary['car']['share'] == pytest.approx(0.5)
   assert summary['car']['nearest_blended'] == pytest.approx(6)
   assert summary['zebra']['share'] is None and summary['all'] == summary['car'] | {'models': 3}
-  lines = figure_nearest.to_markdown(summary).splitlines()
-  assert lines[2] == '| car | 2 | 50.0% | 3.000 dB | 4.000 dB | 5.000 dB | 6.000 dB |'
-  assert lines[3] == '| zebra | 1 | - | - | - | - | - |'
+  (table,) = markdown_cells.read(figure_nearest.to_markdown(summary))
+  assert table[1] == ['car', '2', '50.0%', '3.000 dB', '4.000 dB', '5.000 dB', '6.000 dB']
+  assert table[2] == ['zebra', '1', *['–'] * 5]
 
 
 def test_the_models_shown_have_the_highest_share_of_their_category(given):
@@ -82,10 +83,10 @@ def test_the_models_shown_have_the_highest_share_of_their_category(given):
 def test_the_program_prints_the_share_of_the_whole_split(given, monkeypatch, capsys):
   predict = fake(np.linspace(0, 1, GRID, dtype=np.float32)[:, None])
   monkeypatch.setattr(protocol, 'make_predictor', lambda *_, **__: predict)
-  figure_nearest.run(parse(figure_nearest, '--models=all', tile=48, **given))
+  run(figure_nearest, '--models=all', tile=48, **given)
   image, facts = read_figure(given, 'nearest')
   assert (image < 100).any() and len(facts['rows']) == 2
   total = facts['measures']['all']
   assert total['models'] == 4 and 0.2 < total['share'] < 0.8
-  assert f'{total["share"]:.1%}' in facts['caption']
-  assert f'| all | 4 | {total["share"]:.1%} |' in capsys.readouterr().out
+  (table,) = markdown_cells.read(capsys.readouterr().out)
+  assert table[-1][:3] == ['all', '4', f'{total["share"]:.1%}']

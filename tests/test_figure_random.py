@@ -13,9 +13,9 @@ from test_evaluate import save_network
 
 from cvn import dataset, figures
 from cvn.errors import UserError
-from cvn.grid import ColoredVoxels
+from cvn.infer import Reconstruction
 from cvn.networks import NETWORKS
-from experiments.lib import pictures, protocol, scoring
+from experiments.lib import cli, pictures, protocol, scoring
 from experiments.lib.runs import Run
 from experiments.paper.figures import random as figure_random
 
@@ -23,7 +23,7 @@ IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 
 
 def make_workdir(root, monkeypatch):
-  """The flags of a data set of two categories, all of whose networks say: a ball, red."""
+  """The flags of a data set of two categories whose networks all predict a ball."""
   synthetic.make_dataset(
     root / 'data',
     8,
@@ -34,7 +34,10 @@ def make_workdir(root, monkeypatch):
     grid_size=GRID,
   )
   ball = np.linalg.norm(np.indices((GRID,) * 3) - (GRID - 1) / 2, axis=0) < GRID / 3
-  voxels = ColoredVoxels(ball, np.broadcast_to([1.0, 0, 0], (*ball.shape, 3)))
+  rng = np.random.default_rng(0)
+  volumes = {k: rng.random((*ball.shape, 3)) for k in ('color', 'regressed', 'sampled')}
+  volumes |= {'flow': rng.random((*ball.shape, 2)), 'weight': rng.random(ball.shape)}
+  found = Reconstruction(occupancy=ball, probability=None, **volumes)
 
   def train(plan, training, category, seed):
     config = workdirs.CONFIG | {'seed': int(seed)}
@@ -48,8 +51,9 @@ def make_workdir(root, monkeypatch):
     return {'threshold': -0.1 if joint else 0.5, 'alpha': protocol.METHODS[method].alpha}
 
   def make_predictor(plan, method, category, seed):
-    del plan, method, category, seed
-    return lambda views: [voxels] * len(views)
+    del plan, category, seed
+    own = found._replace(color=1 - found.color) if method == 'r2n2' else found
+    return lambda views: [own] * len(views)
 
   monkeypatch.setattr(protocol, 'train', train)
   monkeypatch.setattr(protocol, 'evaluate', evaluate)
@@ -65,12 +69,9 @@ def save_networks(given, category, *trainings):
     save_network(folder, kind, NETWORKS[kind](IMAGE, GRID))
 
 
-def parse(program, *arguments, **named):
-  """A program's flags."""
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return f
+def run(program, *arguments, **named):
+  """Runs a program."""
+  program.main([*arguments, *(f'--{k}={v}' for k, v in named.items())])
 
 
 def read_figure(given, name):
@@ -86,8 +87,7 @@ def given(tmp_path, monkeypatch):
 
 
 def test_the_figure_tells_what_it_shows(given, capsys):
-  f = parse(figure_random, methods='r2n2,flow', tile=48, figure_seed=7, **given)
-  figure_random.run(f)
+  run(figure_random, methods='r2n2,flow', tile=48, figure_seed=7, **given)
   image, facts = read_figure(given, 'random')
   assert image.ndim == 3 and (image < 100).any()
   assert facts['figure_seed'] == 7 and 'seed 7' in facts['caption']
@@ -103,26 +103,28 @@ def test_the_figure_tells_what_it_shows(given, capsys):
 
 
 def test_one_model_of_all_categories(given):
-  f = parse(
-    figure_random, '--models=all', '--quick', methods='flow', tile=48, name='x', seeds='3', **given
-  )
-  figure_random.run(f)
+  options = {'methods': 'flow', 'tile': 48, 'name': 'x', 'seeds': '3'}
+  run(figure_random, '--models=all', '--quick', **options, **given)
   _, facts = read_figure(given, 'x')
   assert facts['networks']['car'] == facts['networks']['zebra']
   assert facts['networks']['car']['flow'] == os.path.join('runs', 'flow_all_3')
-  assert facts['caption'].endswith('one for all categories, epochs: 1, seed 3.')
+  shown = facts['runs']['flow_all_3']
+  assert (shown['category'], shown['epochs'], shown['seed']) == ([], 1, 3)
+
+
+def plan_of(given, **named):
+  return protocol.read_flags(cli.parse(protocol.define_flags, **given, **named))
 
 
 def test_a_seed_means_a_choice(given):
   opened = dataset.open_dataset(given['data'])
 
-  def choose(**named):
-    f = parse(figure_random, **given, **named)
-    plan = protocol.read_flags(f)
-    return pictures.choose(plan, opened, seed=f.figure_seed, per_category=f.per_category)
+  def choose(seed=0, per_category=2, **named):
+    options = {'seed': seed, 'per_category': per_category}
+    return pictures.choose(plan_of(given, **named), opened, **options)
 
-  assert choose(figure_seed=1) == choose(figure_seed=1)
-  assert len({tuple(choose(figure_seed=n)) for n in range(8)}) > 4
+  assert choose(1) == choose(1)
+  assert len({tuple(choose(n)) for n in range(8)}) > 4
   assert [e.row for e in choose(per_category=1, category='zebra')] in ([3], [7])
   assert sorted(e.row for e in choose(per_category=9)) == [2, 3, 6, 7]
   for e in choose():
@@ -144,7 +146,7 @@ def test_results_are_the_predictors(given, monkeypatch):
   monkeypatch.setattr(protocol, 'make_predictor', make_predictor)
   shown = []
   monkeypatch.setattr(figures, 'grid_of_images', lambda rows, **_: shown.extend(rows))
-  plan = protocol.read_flags(parse(figure_random, **given))
+  plan = plan_of(given)
   chosen = pictures.choose(plan, opened, seed=0, per_category=1)
   pictures.draw_results(plan, opened, chosen, ['flow'], tile=64)
   for row in shown:
@@ -154,17 +156,12 @@ def test_results_are_the_predictors(given, monkeypatch):
     assert not np.array_equal(row[1], row[2])
 
 
-def test_bad_flags_are_named(given, tmp_path):
+def test_bad_input_is_named(given, tmp_path):
   for methods in ('msfcel', 'fly', ''):
     with pytest.raises(flags.Error, match='methods'):
-      parse(figure_random, methods=methods, **given)
+      run(figure_random, methods=methods, **given)
   synthetic.make_dataset(tmp_path / 'few', 1, image_size=IMAGE, grid_size=GRID, azimuths=(0,))
-  few = given | {'data': str(tmp_path / 'few')}
   with pytest.raises(UserError, match='no finished model in the split test'):
-    figure_random.run(parse(figure_random, **few))
+    run(figure_random, **given | {'data': str(tmp_path / 'few')})
   with pytest.raises(UserError, match='no data set'):
-    figure_random.run(parse(figure_random, **given | {'data': str(tmp_path)}))
-
-
-def test_pictures_have_letters_for_titles():
-  assert pictures.title_of('blended_0.4') == 'Ours\n(alpha = 0.4)'
+    run(figure_random, **given | {'data': str(tmp_path)})

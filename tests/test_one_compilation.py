@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import synthetic
-from absl import flags
 
 from cvn import train
 from experiments import train as program
@@ -39,8 +38,6 @@ def test_one_compilation_a_run(made, tmp_path, network, dtype):
   splits = ('train',) * 7 + ('val',)
   synthetic.make_dataset(tmp_path / 'set', 8, splits=splits, azimuths=range(0, 360, 72), **SIZES)
   for epochs in (2, 4):  # the second run is a resumed one
-    f = flags.FlagValues()
-    program.define_flags(f)
     arguments = {
       'network': network,
       'dtype': dtype,
@@ -50,7 +47,6 @@ def test_one_compilation_a_run(made, tmp_path, network, dtype):
       'batch_size': 2,
       'validate_every': 1,
     }
-    f(['train', *(f'--{name}={value}' for name, value in arguments.items())])
-    assert program.run(f) == 0
+    assert program.main([f'--{name}={value}' for name, value in arguments.items()]) == 0
   assert [step._cache_size() for step in made['make_step']] == [1, 1]
   assert [evaluate._cache_size() for evaluate in made['make_eval']] == [1, 1]

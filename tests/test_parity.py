@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from absl import flags
 from flax import linen as nn
 
 from cvn.data import Batch
 from cvn.errors import UserError
 from cvn.networks import ColorNetwork, ShapeNetwork
-from experiments import check_parity, golden
+from experiments.parity import __main__ as parity
+from experiments.parity import golden
 
 DIR = os.environ.get(
   'CVN_GOLDEN_DIR', os.path.join(os.path.dirname(__file__), '../../shared/golden')
@@ -24,24 +24,17 @@ needs_golden = pytest.mark.skipif(
 CHEAP = {'ops': golden.OPS, 'metrics': None}
 
 
-def _run(folder):
-  f = flags.FlagValues()
-  check_parity.define_flags(f)
-  f(['program', f'--golden_dir={folder}'])
-  return check_parity.run(f)
-
-
 def _read(name, spec):
   return golden.read(os.path.join(DIR, f'{name}.npz'), spec)
 
 
 def _failures(lines):
-  return [line.name for line in lines if not check_parity.is_good(line)]
+  return [line.name for line in lines if not parity.is_good(line)]
 
 
 @needs_golden
 def test_every_quantity_of_the_folder_agrees(capsys):
-  assert _run(DIR) == 0
+  assert parity.compare(DIR) == 0
   lines = [line.split() for line in capsys.readouterr().out.splitlines()]
   assert all(len(line) == 4 and line[3] == 'ok' for line in lines)
   assert all(float(error) <= float(tolerance) for _, error, tolerance, _ in lines)
@@ -67,9 +60,9 @@ def test_a_wrong_operation_fails(key):
   arrays = _read('ops', golden.OPS)
   value = arrays[key].copy()
   value[(-1,) * value.ndim] += 1e-3
-  assert _failures(check_parity.check_ops(arrays | {key: value})) == [key]
+  assert _failures(parity.check_ops(arrays | {key: value})) == [key]
   value[(-1,) * value.ndim] = np.nan
-  assert _failures(check_parity.check_ops(arrays | {key: value})) == [key]
+  assert _failures(parity.check_ops(arrays | {key: value})) == [key]
 
 
 @needs_golden
@@ -77,7 +70,7 @@ def test_another_kernel_layout_fails():
   arrays = _read('ops', golden.OPS)
   for key, bad in (('conv2d_kernel', 'conv2d_y'), ('deconv3d_kernel_dhw_out_in', 'deconv3d_y')):
     flipped = arrays | {key: arrays[key][::-1]}
-    assert _failures(check_parity.check_ops(flipped)) == [bad]
+    assert _failures(parity.check_ops(flipped)) == [bad]
 
 
 @needs_golden
@@ -86,7 +79,7 @@ def test_a_wrong_metric_fails():
   view = '_'.join(golden.list_views(arrays)[0])
   for key, by in (('iou', 2e-6), ('psnr_rgb', 2e-3), ('psnr_ycbcr', -2e-3)):
     wrong = arrays | {f'{view}_{key}': arrays[f'{view}_{key}'] + by}
-    assert _failures(check_parity.check_metrics(wrong)) == [f'{view}_{key}']
+    assert _failures(parity.check_metrics(wrong)) == [f'{view}_{key}']
 
 
 @needs_golden
@@ -95,9 +88,9 @@ def test_a_failure_is_printed_and_is_the_exit_status(tmp_path, monkeypatch, caps
     shutil.copy(os.path.join(DIR, f'{name}.npz'), tmp_path)
   arrays = dict(np.load(tmp_path / 'ops.npz'))
   np.savez(tmp_path / 'ops.npz', **arrays | {'msfcel_loss': arrays['msfcel_loss'] * 1.01})
-  monkeypatch.setattr(check_parity, 'check_shape', lambda golden: iter(()))
-  monkeypatch.setattr(check_parity, 'check_color', lambda golden: iter(()))
-  assert _run(tmp_path) == 1
+  monkeypatch.setattr(parity, 'check_shape', lambda golden: iter(()))
+  monkeypatch.setattr(parity, 'check_color', lambda golden: iter(()))
+  assert parity.compare(tmp_path) == 1
   out, err = capsys.readouterr()
   (failed,) = [line.split() for line in out.splitlines() if line.endswith('FAIL')]
   assert failed[0] == 'ops/msfcel_loss' and failed[2] == '1.00e-05'
@@ -128,7 +121,7 @@ def _gradients(arrays):
     # The bias has no effect, as in front of a normalisation.
     return ((layer['kernel'] - target) ** 2).sum() + 0 * layer['bias'].sum()
 
-  lines = check_parity.check_gradients(arrays, params, loss, (np.ones((2, 3)),), tolerance=1e-3)
+  lines = parity.check_gradients(arrays, params, loss, (np.ones((2, 3)),), tolerance=1e-3)
   return params['trunk']['encoder']['conv0']['kernel'], {line.name: line for line in lines}
 
 
@@ -184,7 +177,7 @@ def test_steps_against_a_closed_form():
     arrays = {'adam_losses': np.array([*expected], np.float32)}
     objective = lambda output, *_: (((output - 1) ** 2).sum(), {})  # noqa: E731
     params = {'kernel': jnp.asarray(kernel)}
-    return [*check_parity.check_steps(arrays, _Constant(), objective, params, batch)]
+    return [*parity.check_steps(arrays, _Constant(), objective, params, batch)]
 
   lines = check(losses())
   assert [line.name for line in lines] == ['adam_losses/0', 'adam_losses/1']
@@ -211,7 +204,7 @@ def test_outputs_are_compared_at_the_stored_voxels():
 
   def compare():
     outputs = {'regressed': volume, 'blended': volume}
-    return _failures(check_parity.compare_outputs(arrays, outputs))
+    return _failures(parity.compare_outputs(arrays, outputs))
 
   assert compare() == []
   arrays['out_blended'].ravel()[: stored.size // 50] += 0.5  # 2 %
@@ -228,7 +221,7 @@ def test_outputs_are_compared_at_the_stored_voxels():
 )
 def test_every_parameter_has_its_golden_variable(network, name, spec):
   arrays = _read(name, spec)
-  params = check_parity.draw_params(arrays, network)
+  params = parity.draw_params(arrays, network)
   assert len(golden.flatten(params)) == len(arrays['names'])
   drawn = golden.flatten(params)['trunk/decoder/deconv1/kernel']
   assert drawn.shape == (3, 3, 3, 64, 32)
@@ -236,10 +229,10 @@ def test_every_parameter_has_its_golden_variable(network, name, spec):
   assert 0.99 * limit < np.abs(drawn).max() <= limit
   renamed = arrays | {'names': np.char.replace(arrays['names'], 'fc1', 'fc7')}
   with pytest.raises(UserError, match="'Latent_variable/fc7/weights'"):
-    check_parity.draw_params(renamed, network)
+    parity.draw_params(renamed, network)
   fewer = arrays | {k: arrays[k][:-1] for k in ('names', 'shapes')}
   with pytest.raises(UserError, match='missing in the golden values'):
-    check_parity.draw_params(fewer, network)
+    parity.draw_params(fewer, network)
 
 
 def test_the_authors_rounding_is_a_sum_of_one_value_after_the_other():
@@ -279,7 +272,7 @@ def test_garbled_files_are_named(tmp_path, name, spec):
   for bad in (b'', b'no archive', content[: len(content) // 2]):
     with open(path, 'wb') as f:
       f.write(bad)
-    with pytest.raises(UserError, match=rf'{name}\.npz is no readable \.npz file'):
+    with pytest.raises(UserError, match=rf'{name}\.npz is not a readable \.npz file'):
       golden.read(path, spec)
   flipped = bytearray(content)
   flipped[len(content) // 2] ^= 0xFF
@@ -291,31 +284,24 @@ def test_garbled_files_are_named(tmp_path, name, spec):
 
 @needs_golden
 @pytest.mark.parametrize('name, spec', CHEAP.items())
-def test_missing_and_misshapen_arrays_are_named(tmp_path, name, spec):
+def test_a_missing_array_is_named(tmp_path, name, spec):
   path = tmp_path / f'{name}.npz'
   arrays = dict(np.load(os.path.join(DIR, f'{name}.npz')))
-  for key in arrays:
-    if key.endswith('_occupancy'):
-      continue  # an array that is not there is a view that is not there
-    np.savez(path, **{k: v for k, v in arrays.items() if k != key})
-    with pytest.raises(UserError, match=f'has no array {key}'):
-      golden.read(str(path), spec)
-    break
-  key = next(iter(arrays))
-  for bad in (arrays[key][0], arrays[key].astype(str)):
-    np.savez(path, **arrays | {key: bad})
-    with pytest.raises(UserError, match=f'{key} is '):
-      golden.read(str(path), spec)
+  # Without occupancy a view does not exist.
+  key = next(k for k in arrays if not k.endswith('_occupancy'))
+  np.savez(path, **{k: v for k, v in arrays.items() if k != key})
+  with pytest.raises(UserError, match=f'has no array {key}'):
+    golden.read(str(path), spec)
 
 
 def test_files_of_objects_and_of_no_view_are_refused(tmp_path):
   path = str(tmp_path / 'metrics.npz')
   np.savez(path, m0_gt_color=np.array([{}], dtype=object))
-  with pytest.raises(UserError, match='no readable'):
+  with pytest.raises(UserError, match='not a readable'):
     golden.read(path, None)
   with open(path, 'wb') as f:
     np.save(f, np.zeros(3))
-  with pytest.raises(UserError, match='no readable'):
+  with pytest.raises(UserError, match='not a readable'):
     golden.read(path, None)
   np.savez(path, m0_gt_color=np.zeros(3))
   with pytest.raises(UserError, match='holds no view'):
@@ -324,4 +310,4 @@ def test_files_of_objects_and_of_no_view_are_refused(tmp_path):
 
 def test_a_missing_folder_is_named(tmp_path):
   with pytest.raises(UserError, match=r'nowhere/ops\.npz is missing'):
-    _run(tmp_path / 'nowhere')
+    parity.compare(tmp_path / 'nowhere')

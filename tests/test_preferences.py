@@ -1,8 +1,8 @@
 """Shares, their intervals, the table and the chart."""
 
-import json
 import math
 
+import markdown_cells
 import numpy as np
 import pytest
 
@@ -33,22 +33,24 @@ def test_shares_are_counted_by_other_and_category():
     'b': {'car': (3, 4), 'chair': (1, 2), 'all': (4, 6)},
     'c': {'car': (0, 2), 'all': (0, 2)},
   }
-  assert preferences.to_json(table)['b']['car']['share'] == 0.75
-  text = preferences.format_table(table, TITLES, 'A preferred')
-  assert text.splitlines()[0] == 'A preferred'
-  assert len(text.splitlines()) == 2 + 5
-  assert '75.0 %' in text and '3 of 4' in text
+  (cells,) = markdown_cells.read(preferences.to_markdown(table, TITLES, 'a'))
+  assert [row[:3] for row in cells[1:]] == [
+    ['B', 'car', '75.0 %'],
+    ['B', 'chair', '50.0 %'],
+    ['B', 'all', '66.7 %'],
+    ['C', 'car', '0.0 %'],
+    ['C', 'all', '0.0 %'],
+  ]
 
 
 def test_bars_of_ours_and_of_the_other_make_up_all():
   choices = _choices('car', 'b', 3, 1) + _choices('chair', 'b', 1, 1) + _choices('car', 'c', 0, 2)
   table = preferences.tabulate(choices, ['b', 'c'], ['car', 'chair'])
-  figure = preferences.draw({'one': table, 'two': table}, TITLES, 'a', note='a note')
-  assert [axes.get_title() for axes in figure.axes] == ['one', 'two']
-  for axes in figure.axes:
-    bars = [[b.get_height() for b in axes.containers[n]] for n in (0, 1)]
-    np.testing.assert_allclose(bars, [[75, 50, 400 / 6], [25, 50, 200 / 6]])
-    assert [t.get_text() for t in axes.get_xticklabels()] == ['car', 'chair', 'all']
+  figure = preferences.draw(table, TITLES, 'a', note='a note')
+  (axes,) = figure.axes
+  bars = [[b.get_height() for b in axes.containers[n]] for n in (0, 1)]
+  np.testing.assert_allclose(bars, [[75, 50, 400 / 6], [25, 50, 200 / 6]])
+  assert [t.get_text() for t in axes.get_xticklabels()] == ['car', 'chair', 'all']
   (legend,) = figure.legends
   assert [t.get_text() for t in legend.get_texts()] == ['A', 'B', 'C']
   assert figure.get_supxlabel() == 'a note'
@@ -56,7 +58,7 @@ def test_bars_of_ours_and_of_the_other_make_up_all():
 
 def test_whiskers_are_the_interval():
   table = preferences.tabulate(_choices('car', 'b', 8, 2), ['b'], ['car'])
-  (axes,) = preferences.draw({'': table}, TITLES, 'a', note='').axes
+  (axes,) = preferences.draw(table, TITLES, 'a', note='').axes
   (errorbar,) = (c for c in axes.containers if hasattr(c, 'has_yerr'))
   (lines,) = errorbar.lines[2]
   low, high = lines.get_segments()[0][:, 1]
@@ -66,14 +68,4 @@ def test_whiskers_are_the_interval():
 def test_what_has_no_choice_has_no_bar():
   table = preferences.tabulate(_choices('car', 'b', 1, 0), ['b', 'c'], ['car'])
   assert table['c'] == {}
-  preferences.draw({'': table}, TITLES, 'a', note='').canvas.draw()
-
-
-def test_writes_picture_and_numbers(tmp_path, capsys):
-  table = preferences.tabulate(_choices('car', 'b', 1, 1), ['b'], ['car'])
-  chart = preferences.draw({'': table}, TITLES, 'a', note='')
-  preferences.write(str(tmp_path / 'new'), 'name', {'x': 1}, chart)
-  written = json.loads((tmp_path / 'new' / 'name.json').read_text())
-  assert written.pop('argv') and written == {'x': 1}
-  assert (tmp_path / 'new' / 'name.png').read_bytes().startswith(b'\x89PNG')
-  assert 'name.png' in capsys.readouterr().out
+  preferences.draw(table, TITLES, 'a', note='').canvas.draw()

@@ -4,20 +4,15 @@ import leavings
 import numpy as np
 import pytest
 import synthetic
-from absl import flags
 
 from cvn.errors import UserError
 from cvn.infer import Network, Reconstruction
-from cvn.networks import NETWORKS
-from experiments.lib import protocol
+from experiments.lib import cli, protocol
 from experiments.lib.runs import Run
 
 
 def parse(*arguments):
-  f = flags.FlagValues()
-  protocol.define_flags(f)
-  f(['program', *arguments])
-  return protocol.read_flags(f)
+  return protocol.read_flags(cli.parse(protocol.define_flags, arguments))
 
 
 @pytest.fixture
@@ -28,13 +23,6 @@ def data(tmp_path):
 @pytest.fixture
 def commands(monkeypatch):
   return leavings.without_programs(monkeypatch)
-
-
-def test_every_method_has_its_trainings_and_every_training_a_network():
-  for method in protocol.METHODS.values():
-    assert method.shape in protocol.TRAININGS
-    assert not method.color or method.color in protocol.TRAININGS
-  assert all(t['network'] in NETWORKS for t in protocol.TRAININGS.values())
 
 
 def test_the_defaults_are_the_papers(data, tmp_path, commands):
@@ -51,6 +39,23 @@ def test_the_defaults_are_the_papers(data, tmp_path, commands):
     'batch_size': 60,
   }
   assert 'learning_rate' not in named
+
+
+def test_a_faster_way_to_train_is_a_training_of_its_own(data, tmp_path, commands):
+  arguments = data, f'--workdir={tmp_path}', '--batch_size=2', '--models=all', '--epochs=2'
+  for method in ('blended_0.2', 'blended_mixed', 'blended_surface'):
+    protocol.evaluate(parse(*arguments), method, protocol.ALL, '0')
+  trained = {
+    n['workdir'].rpartition('/')[2]: (n['dtype'], n.get('heads'))
+    for p, n in commands
+    if p == 'train'
+  }
+  assert trained == {
+    'msfcel_all_0': ('float32', None),
+    'blended_all_0': ('float32', None),
+    'blended_mixed_all_0': ('mixed', None),
+    'blended_surface_all_0': ('float32', 'surface'),
+  }
 
 
 def test_methods_share_networks(data, tmp_path, commands):

@@ -49,10 +49,7 @@ def workdirs(tmp_path_factory):
 
 def _run(*arguments, **named):
   """The program's exit status, within this process."""
-  f = flags.FlagValues()
-  program.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return program.run(f)
+  return program.main([*arguments, *(f'--{k}={v}' for k, v in named.items())])
 
 
 def _picture(path, color):

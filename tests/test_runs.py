@@ -7,21 +7,17 @@ import shutil
 import leavings
 import pytest
 import synthetic
-from absl import flags
 
 from cvn import dataset
 from cvn.errors import UserError
-from experiments.lib import protocol, tables, training
+from experiments.lib import cli, protocol, results, training
 from experiments.paper import iou as table_iou
 
 COMMON = ('--models=all', '--epochs=16', '--batch_size=2', '--learning_rate=1e-3', '--dtype=mixed')
 
 
-def parse(*arguments):
-  f = flags.FlagValues()
-  protocol.define_flags(f)
-  f(['program', *arguments])
-  return f
+def plan(*arguments):
+  return protocol.read_flags(cli.parse(protocol.define_flags, arguments))
 
 
 @pytest.fixture
@@ -38,14 +34,14 @@ def data(tmp_path_factory):
 def used(data, tmp_path, commands):
   """The flags of a workdir with scores of a method, and the programs that were run for them."""
   given = (f'--data={data}', f'--workdir={tmp_path / "W"}', *COMMON)
-  tables.evaluate(protocol.read_flags(parse(*given)), 'blended_0.2')
+  results.evaluate(plan(*given), 'blended_0.2')
   assert [p for p, _ in commands] == ['train', 'train', 'evaluate']
   commands.clear()
   return given, commands
 
 
 def ask(*arguments, method='blended_0.2', **options):
-  return tables.evaluate(protocol.read_flags(parse(*arguments)), method, **options)
+  return results.evaluate(plan(*arguments), method, **options)
 
 
 def test_the_same_again_runs_nothing(used):
@@ -208,10 +204,7 @@ def test_scores_that_do_not_tell_their_options_are_an_error(used, tmp_path, text
 def test_headers_are_those_of_the_networks_and_models_behind_the_numbers(used, tmp_path, capsys):
   """The flags of the printing program say 16 epochs of batches of 2; so do the stored runs."""
   given, _ = used
-  f = flags.FlagValues()
-  table_iou.define_flags(f)
-  f(['program', *given, '--methods=msfcel'])
-  table_iou.run(f)
+  table_iou.main([*given, '--methods=msfcel'])
   table = json.loads((tmp_path / 'W/tables/iou.json').read_text())
   assert table['differences'] == {
     'models to train on': '5 car (synthetic), 5 chair (synthetic)',

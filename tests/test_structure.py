@@ -3,8 +3,9 @@
 import json
 import os
 
+import markdown_cells
 import pytest
-from test_figure_random import make_workdir, parse, read_figure
+from test_figure_random import make_workdir, read_figure, run
 
 from experiments.lib import protocol
 from experiments.paper import structure
@@ -43,27 +44,24 @@ def given(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('models', ['category', 'all'])
 def test_numbers_stand_beside_the_papers(given, capsys, models):
-  structure.run(parse(structure, tile=48, per_category=1, models=models, **given))
-  text = capsys.readouterr().out
-  assert '|  | car | zebra | avg. |' in text
-  assert '| Separate networks (proposed) | 0.500 ± 0.000 [0.395] | 0.500 | 0.500 |' in text
-  assert '| Unified network | 0.250 ± 0.000 [0.386] | 0.250 | 0.250 |' in text
-  assert 'Unified network: +0.250 ± 0.000 over 3 models, median +0.250, above in 100%' in text
-  assert 'Unified network: -1.00 ± 0.00 over 3 models, median -1.00, above in 0%' in text
+  run(structure, tile=48, per_category=1, models=models, **given)
+  iou, compared, *_ = markdown_cells.read(capsys.readouterr().out)
+  assert iou[1] == ['Separate networks (proposed)', '0.500 ± 0.000', '0.395', '0.500', '0.500']
+  assert iou[2] == ['Unified network', '0.250 ± 0.000', '0.386', '0.250', '0.250']
+  assert compared[1][:2] == ['− Unified network', '+0.250 ± 0.000']
   with open(os.path.join(given['workdir'], 'tables', 'structure.json')) as f:
-    table = json.load(f)
-  separate, unified = table['iou']['rows']
+    table = json.load(f)['parts']
+  separate, unified = table['iou']['lines']
   (comparison,) = table['psnr_rgb']['comparisons']
   assert (comparison['difference'], comparison['models'], comparison['above']) == (-1, 3, 0)
   assert separate['categories']['car'] == {
     'mean': 0.5,
     'error': 0,
     'models': 2,
-    'seeds': [0.5],
     'published': 0.395,
   }
   assert unified['categories']['car']['published'] == 0.386
-  assert table['psnr_rgb']['rows'][0]['categories']['car']['published'] is None
+  assert table['psnr_rgb']['lines'][0]['categories']['car']['published'] is None
   image, facts = read_figure(given, 'structure')
   assert (image < 100).any() and [r['category'] for r in facts['rows']] == ['car', 'zebra']
   folder = f'runs/unified_{"all" if models == "all" else "car"}_0'

@@ -20,7 +20,7 @@ from cvn import checkpoint, data, grid, infer, losses, objectives
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
-from experiments.lib import training
+from experiments.lib import cli, training
 
 
 class TrainState(NamedTuple):
@@ -86,16 +86,9 @@ def made(tmp_path_factory):
   return root
 
 
-def parse(*arguments):
-  values = flags.FlagValues()
-  program.define_flags(values)
-  values(['train', *arguments])
-  return values
-
-
 def run(made, workdir, *arguments, network='shape', epochs=2):
-  return program.run(
-    parse(
+  return program.main(
+    [
       f'--network={network}',
       f'--data={made}',
       f'--workdir={workdir}',
@@ -105,7 +98,7 @@ def run(made, workdir, *arguments, network='shape', epochs=2):
       '--log_every=3',
       '--dtype=float32',
       *arguments,
-    )
+    ]
   )
 
 
@@ -225,7 +218,7 @@ def test_interrupt_says_how_to_go_on_and_gives_the_handlers_back(
   before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
   interrupt_at(monkeypatch, 1, signal.SIGINT)
   assert run(made, tmp_path / 'run') == 128 + signal.SIGINT
-  assert 'the same command goes on from here' in capsys.readouterr().err
+  assert 'the same command continues from here' in capsys.readouterr().err
   assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
@@ -332,14 +325,13 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
 
 
 def test_flags_change_the_recipe():
-  f = flags.FlagValues()
-  program.define_flags(f)
-  needed = ['--network=shape', '--data=D', '--workdir=W']
-  f(['program', *needed, '--recipe=release', '--learning_rate=0.5', '--schedule=cosine'])
-  recipe = program.make_recipe(f)
+  def make(**named):
+    f = cli.parse(training.define_flags, network='shape', data='D', workdir='W', **named)
+    return training.make_recipe(training.read_flags(f))
+
+  recipe = make(recipe='release', learning_rate=0.5, schedule='cosine')
   assert recipe == RELEASE._replace(learning_rate=0.5, schedule=cosine)
-  f(['program', '--mirror', '--shape_loss=cross_entropy', '--surface_distance=l1'])
-  recipe = program.make_recipe(f)
+  recipe = make(mirror=True, shape_loss='cross_entropy', surface_distance='l1')
   assert recipe.mirror and recipe.shape_loss is losses.cross_entropy
   assert recipe.surface_distance is losses.surface_l1
 
@@ -362,7 +354,7 @@ def test_auto_is_the_faster_type_and_a_resumed_run_keeps_it(
   (other,) = {*training.DTYPES} - {dtype}
   monkeypatch.setattr(training.native, 'faster_dtype', lambda: (other, ''))
   assert run(made, tmp_path / 'run', '--dtype=auto', epochs=2) == 0
-  assert f'--dtype=auto is {dtype}: {tmp_path / "run"} was begun with it' in capsys.readouterr().out
+  assert f'--dtype=auto is {dtype}: the run in {tmp_path / "run"}' in capsys.readouterr().out
   with pytest.raises(UserError, match=f'dtype={dtype}, not {other}'):
     run(made, tmp_path / 'run', f'--dtype={other}', epochs=3)
 
@@ -418,44 +410,21 @@ def test_out_of_memory(made, tmp_path, monkeypatch):
     run(made, tmp_path / 'run')
 
 
-@pytest.mark.parametrize(
-  'bad',
-  [
-    '--network=both',
-    '--recipe=mine',
-    '--dtype=float16',
-    '--heads=sparse',
-    '--epochs=0',
-    '--batch_size=0',
-    '--batch_size=x',
-    '--learning_rate=-1',
-    '--learning_rate=nan',
-    '--seed=-1',
-    '--checkpoint_every=-1',
-  ],
-)
-def test_bad_flags(bad):
-  with pytest.raises(flags.Error, match=bad[2:].split('=')[0]):
-    parse('--network=shape', '--data=a', '--workdir=b', bad)
-
-
-@pytest.mark.parametrize('missing', ['network', 'data', 'workdir'])
-def test_required_flags(missing):
-  given = {'network': 'shape', 'data': 'a', 'workdir': 'b'}
-  with pytest.raises(flags.Error, match=missing):
-    parse(*(f'--{k}={v}' for k, v in given.items() if k != missing))
+def test_a_learning_rate_must_be_a_positive_number(made, tmp_path):
+  for bad in ('-1', '0', 'nan', 'inf'):
+    with pytest.raises(flags.Error, match='learning_rate'):
+      run(made, tmp_path / 'run', f'--learning_rate={bad}')
 
 
 def test_validation_is_whole_batches_where_it_can_be(made):
   dataset = program.open_dataset(str(made))
 
-  def count(*arguments):
-    f = parse('--network=shape', '--data=a', '--workdir=b', *arguments)
-    return len(program.select_validation(f, dataset))
+  def count(batch_size, maximum=120):
+    options = {'batch_size': batch_size, 'maximum': maximum}
+    return len(program.choose_views(dataset, np.arange(2), **options))
 
-  assert count('--batch_size=2') == 2
-  assert count('--batch_size=60') == 2
-  assert count('--batch_size=2', '--validation_views=1') == 1
+  assert (count(3), count(4), count(60)) == (3, 4, 4)
+  assert (count(2, maximum=3), count(2, maximum=1)) == (2, 1)
 
 
 @pytest.mark.parametrize(('batch_size', 'devices'), [(60, 4), (6, 2), (7, 1)])
@@ -475,7 +444,7 @@ def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices, 
 
 def test_mean_over_devices_is_the_mean_on_one(made, tmp_path, monkeypatch):
   run(made, tmp_path / 'two')
-  monkeypatch.setattr(program.jax, 'device_count', lambda: 1)
+  monkeypatch.setattr(jax, 'device_count', lambda: 1)
   run(made, tmp_path / 'one')
   two, one = (
     [line['loss'] for line in log_of(tmp_path / name) if 'loss' in line] for name in ('two', 'one')

@@ -12,7 +12,6 @@ import time
 import numpy as np
 import pytest
 import studies
-from absl import flags
 
 from experiments.study import chart as user_study_chart
 
@@ -137,10 +136,7 @@ def _count(subjects):
 
 
 def _aggregate(study, results, output):
-  f = flags.FlagValues()
-  user_study_chart.define_flags(f)
-  f(['program', f'--results={results}', f'--study={study}', f'--output={output}'])
-  assert user_study_chart.run(f) == 0
+  user_study_chart.main([f'--results={results}', f'--study={study}', f'--output={output}'])
   report = json.loads((output / 'preferences.json').read_text())
   return report, {
     (other, name): [share['ours'], share['choices']]

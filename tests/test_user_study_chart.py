@@ -2,8 +2,8 @@
 
 import json
 
+import markdown_cells
 import pytest
-from absl import flags
 
 from cvn.errors import UserError
 from experiments.study import chart as user_study_chart
@@ -50,10 +50,7 @@ def _write(tmp_path, **files):
 
 
 def _run(tmp_path, results, *more):
-  f = flags.FlagValues()
-  user_study_chart.define_flags(f)
-  f(['program', f'--results={results}', f'--study={tmp_path / "study"}', *more])
-  return user_study_chart.run(f)
+  user_study_chart.main([f'--results={results}', f'--study={tmp_path / "study"}', *more])
 
 
 def test_choices_become_shares_of_ours(tmp_path, capsys):
@@ -63,7 +60,7 @@ def test_choices_become_shares_of_ours(tmp_path, capsys):
     answers_2=_answers('S2', ['r1', 'r0', 'r4', 'r4']),
     notes='no answers, and not named so',
   )
-  assert _run(tmp_path, results) == 0
+  _run(tmp_path, results)
   report = json.loads((tmp_path / 'study' / 'preferences.json').read_text())
   found = {
     (other, name): (s['ours'], s['choices'])
@@ -81,14 +78,14 @@ def test_choices_become_shares_of_ours(tmp_path, capsys):
   assert report['subjects'] == ['S1', 'S2'] and report['left_taken']['share'] == 0.5
   assert report['median_seconds'] == 1.5
   assert (tmp_path / 'study' / 'preferences.png').stat().st_size > 1000
-  out = capsys.readouterr().out
-  assert '2 subjects, 8 choices' in out and '75.0 %' in out
+  (table,) = markdown_cells.read(capsys.readouterr().out)
+  assert table[3] == ['X', 'all', '75.0 %', '30 to 95 %', '3 of 4']
 
 
 def test_files_can_be_named_one_by_one(tmp_path):
   results = _write(tmp_path, one=_answers('S1', ['r0', 'r0', 'r4', 'r4']))
   output = tmp_path / 'chart'
-  assert _run(tmp_path, results / 'one.json', f'--output={output}') == 0
+  _run(tmp_path, results / 'one.json', f'--output={output}')
   report = json.loads((output / 'preferences.json').read_text())
   assert report['preferences']['x']['all']['share'] == 1
 
@@ -108,11 +105,11 @@ GOOD = _answers('S1', ['r0', 'r0', 'r4', 'r4'])
   [
     ('{"format": 1, "page', 'damaged'),
     ('\udcff'.encode('utf-8', 'surrogateescape').decode('latin-1'), 'damaged'),
-    ('[]', 'no file of answers'),
-    (GOOD | {'format': 2}, 'no file of answers'),
+    ('[]', 'not a file of answers'),
+    (GOOD | {'format': 2}, 'not a file of answers'),
     (GOOD | {'page': 'other'}, 'is of page other, --study is page abc'),
-    (GOOD | {'subject': 'a b'}, "'a b' is no subject"),
-    (GOOD | {'subject': None}, 'None is no subject'),
+    (GOOD | {'subject': 'a b'}, "'a b' is not a subject"),
+    (GOOD | {'subject': None}, 'None is not a subject'),
     (GOOD | {'answers': GOOD['answers'][:-1]}, '1 have no answer, and 0'),
     (GOOD | {'answers': GOOD['answers'] + GOOD['answers'][:1]}, '0 have no answer, and 1'),
     (GOOD | {'answers': None}, '4 have no answer'),
@@ -152,7 +149,7 @@ def test_no_study(tmp_path):
   results = _write(tmp_path, answers_1=GOOD)
   key = tmp_path / 'study' / 'key.json'
   key.write_text('{}')
-  with pytest.raises(UserError, match='no key of a study'):
+  with pytest.raises(UserError, match='is not the key of a study'):
     _run(tmp_path, results)
   key.unlink()
   with pytest.raises(UserError, match=r'has no key\.json'):

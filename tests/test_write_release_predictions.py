@@ -7,7 +7,6 @@ import h5py
 import numpy as np
 import pytest
 import synthetic
-from absl import flags
 from PIL import Image
 from test_evaluate import save_network
 
@@ -17,6 +16,7 @@ from cvn.networks import ColorNetwork, ShapeNetwork
 from datagen import write_release
 from experiments import evaluate
 from experiments import write_release_predictions as program
+from experiments.lib import cli
 
 IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 210)
 NAMES = ('0.000', '1.570', '3.663')
@@ -43,10 +43,10 @@ def given(tmp_path_factory):
 
 
 def run(module, *arguments, **named):
-  f = flags.FlagValues()
-  module.define_flags(f)
-  f(['program', *arguments, *(f'--{k}={v}' for k, v in named.items())])
-  return module.run(f)
+  argv = [*arguments, *(f'--{k}={v}' for k, v in named.items())]
+  if module is write_release:
+    return module.run(cli.parse(module.define_flags, argv))
+  return module.main(argv)
 
 
 @pytest.fixture(scope='module')

@@ -5,11 +5,11 @@ import json
 import numpy as np
 from PIL import Image
 
-from experiments.lib import protocol, runs, tables
+from experiments.lib import protocol, results, runs, stages
+from experiments.lib.results import AVERAGE, Row, Scores, Table
 from experiments.lib.runs import Run
-from experiments.lib.tables import AVERAGE, Row, Scores
 from experiments.paper.people import analysis as people_analysis
-from experiments.paper.people import summary as people_report
+from experiments.paper.people import summary as people_summary
 
 AZIMUTHS = (0, 90, 180, 270)
 CONFIG = {  # of a run, as experiments.train stores it
@@ -32,7 +32,7 @@ CONFIG = {  # of a run, as experiments.train stores it
 
 
 def source(program='paper.iou', *, data='DATA', seeds=1, **changes):
-  """What a program tells of how it made its results: command, data set, runs."""
+  """How a program made its results: command, data set, runs."""
   argv = ['python', '-m', f'experiments.{program}', f'--data={data}', '--workdir=/x/work']
   used = [Run(f'msfcel_all_{n}', CONFIG | {'seed': n} | changes, 4) for n in range(seeds)]
   return {'argv': argv, 'data': data, 'runs': runs.to_json(used)}
@@ -48,39 +48,39 @@ def row(method, base, published=None, *, seeds=1):
 
 def write_json(path, value):
   path.parent.mkdir(parents=True, exist_ok=True)
-  path.write_text(json.dumps(value))
+  path.write_text(json.dumps(stages.plain(value)))
 
 
 def write_tables(folder, *, seeds=1, **changes):
   """Tables 1 to 3, the ablation and the structure analysis."""
   paper = {'car': 0.395, 'chair': 0.18, AVERAGE: 0.298}
 
-  def write(name, program, table):
-    told = source(program, seeds=seeds, **changes)
-    write_json(folder / f'tables/{name}.json', told | table)
+  def write(name, **parts):
+    origin = source(f'paper.{name}', seeds=seeds, **changes)
+    write_json(folder / f'tables/{name}.json', origin | {'parts': parts})
 
-  def part(rows):
-    return tables.to_part(rows, [tables.compare(rows[0], r) for r in rows[1:]])
+  def table(*rows):
+    return results.tabulate({r.title: r for r in rows}, rows[0].title)
 
-  shapes = [
+  shapes = table(
     row('msfcel', 0.3, paper, seeds=seeds),
     row('cross_entropy', 0.25, {**paper, AVERAGE: 0.4}, seeds=seeds),
-  ]
-  write('iou', 'paper.iou', {'paper': part(shapes), 'val': part(shapes)})
-  colors = [row('blended_0.2', 16), row('flow', 15)]
-  write('psnr', 'paper.psnr', {m: part(colors) for m in ('psnr_rgb', 'psnr_ycbcr')})
-  steps = [row('paper', 0.2), row('plus_threshold', 0.25)]
-  last = tables.compare(row('best', 0.25), row('paper', 0.2))
-  both = {m: tables.to_part(steps, [last]) for m in ('iou', 'psnr_rgb')}
-  write('ablation', 'paper.ablation', {'val': both, 'test': both})
-  write('structure', 'paper.structure', {m: part(shapes) for m in ('iou', 'psnr_rgb')})
+  )
+  write('iou', paper=shapes, val=shapes)
+  colors = table(row('blended_0.2', 16), row('flow', 15))
+  write('psnr', psnr_rgb=colors, psnr_ycbcr=colors)
+  last = results.compare(row('best', 0.25), row('paper', 0.2))
+  steps = [results.summarize(row('paper', 0.2)), results.summarize(row('plus_threshold', 0.25))]
+  names = [f'{split} {metric}' for split in ('val', 'test') for metric in ('iou', 'psnr_rgb')]
+  write('ablation', **dict.fromkeys(names, Table(steps, [last])))
+  write('structure', iou=shapes, psnr_rgb=shapes)
 
 
 def write_people(folder):
   """The analysis of two people, and one of its pictures."""
   complexity = np.array([[3, 4, 5, 6], [7, 8, 9, 10]])
   iou = np.array([[0.1, 0.2, 0.1, 0.2], [0.2, 0.3, 0.2, 0.3]])
-  study = people_report.Study(
+  study = people_summary.Study(
     category='human',
     networks=['msfcel_human_0: 1 epochs'],
     thresholds=[0.8],
@@ -91,8 +91,8 @@ def write_people(folder):
     tested=complexity,
     analysis=people_analysis.analyze(AZIMUTHS, iou, complexity),
   )
-  told = source('paper.people', category=['human'])
-  write_json(folder / 'tables/people.json', told | people_report.to_json(study))
+  origin = source('paper.people', category=['human'])
+  write_json(folder / 'tables/people.json', origin | people_summary.to_json(study))
   write_figure(folder / 'figures/people_azimuth.png')
 
 
@@ -109,8 +109,7 @@ def write_figure(path, caption='', program='paper.figures.random'):
   """A red picture, with its caption beside it where there is one."""
   image = np.full((6, 300, 3), (200, 0, 0), np.uint8)
   if caption:
-    told = source(program) | {'caption': caption, 'figure_seed': 7}
-    write_json(path.with_suffix('.json'), told)
+    write_json(path.with_suffix('.json'), source(program) | {'caption': caption, 'figure_seed': 7})
   path.parent.mkdir(parents=True, exist_ok=True)
   Image.fromarray(image).save(path)
 
@@ -122,7 +121,7 @@ def write_all(folder, **changes):
   write_training(folder)
   write_training(folder, 'blended_all_0', network='color')
   write_figure(folder / 'figures/random.png', 'Drawn at random, <b>not</b> chosen: seed 7.')
-  write_figure(folder / 'user_study/standin.png', 'Of no person.', 'study.standin')
+  write_figure(folder / 'user_study/preferences.png', 'Two subjects.', 'study.chart')
   command = 'python -m experiments.train --workdir=/home/someone/work/runs/msfcel_all_0 --seed=0'
   write_json(folder / 'seconds.json', {command: 90.0})
   return folder

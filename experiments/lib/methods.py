@@ -1,11 +1,11 @@
-"""The paper's methods, and what goes beyond them: the trainings and options of each."""
+"""The paper's methods and those that go beyond it: the trainings and options of each."""
 
 from typing import Any, NamedTuple
 
 from cvn import blending
 from experiments.lib.evaluation import ALPHAS
 
-# The flags of experiments.train that make the paper's networks, and each recipe's.
+# The flags of experiments.train for each training.
 TRAININGS: dict[str, dict[str, str]] = {
   'r2n2': {'network': 'r2n2'},
   'cross_entropy': {'network': 'shape', 'shape_loss': 'cross_entropy'},
@@ -18,19 +18,22 @@ TRAININGS: dict[str, dict[str, str]] = {
   'blended_release': {'network': 'color', 'recipe': 'release'},
   'msfcel_best': {'network': 'shape', 'recipe': 'best'},
   'blended_best': {'network': 'color', 'recipe': 'best'},
+  'msfcel_mixed': {'network': 'shape', 'dtype': 'mixed'},
+  'blended_mixed': {'network': 'color', 'dtype': 'mixed'},
+  'blended_surface': {'network': 'color', 'heads': 'surface'},
 }
 
 
 class Method(NamedTuple):
-  """What makes coloured voxels of a view."""
+  """A way to make coloured voxels from a view."""
 
   title: str
-  shape: str  # the training whose network gives shapes
-  color: str  # likewise colours; '' for methods of shapes alone
+  shape: str  # the training of the network that gives shapes
+  color: str  # the training of the network that gives colours; '' if the method has no colours
   alpha: float | str = blending.ALPHA  # or 'val': chosen on the split val
-  threshold: str = 'paper'  # or 'val', where the paper's program has none
-  flip: bool = False  # whether means with the mirrored view are taken
-  carve: bool = False  # whether shapes are carved by the view's silhouette
+  threshold: str = 'paper'  # or 'val', for methods without a threshold in the paper's program
+  flip: bool = False  # whether to average with the mirrored view
+  carve: bool = False  # whether to carve shapes by the view's silhouette
 
 
 _ON_VAL: dict[str, Any] = {'alpha': 'val', 'threshold': 'val'}
@@ -44,7 +47,11 @@ METHODS = {
   **{f'blended_{a:g}': Method(f'Ours (α = {a:g})', 'msfcel', 'blended', a) for a in ALPHAS},
   'blended_release': Method("Ours (α = 0.2), authors' recipe", 'msfcel_release', 'blended_release'),
   'unified': Method('Unified network', 'unified', 'unified'),
-  # What goes beyond the paper, one thing after the other.
+  # Faster ways to train the same networks, to compare with the plain ones.
+  'msfcel_mixed': Method('Ours (MSFCEL), mixed precision', 'msfcel_mixed', ''),
+  'blended_mixed': Method('Ours (α = 0.2), mixed precision', 'msfcel', 'blended_mixed'),
+  'blended_surface': Method('Ours (α = 0.2), surface heads', 'msfcel', 'blended_surface'),
+  # Beyond the paper; each step adds one thing to the one before.
   'plus_threshold': Method('+ threshold chosen on val', 'msfcel', 'blended', threshold='val'),
   'plus_alpha': Method('+ α chosen on val', 'msfcel', 'blended', **_ON_VAL),
   'plus_color': Method('+ colours by the recipe best', 'msfcel', 'blended_best', **_ON_VAL),

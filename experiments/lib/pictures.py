@@ -1,12 +1,9 @@
-"""What the programs of figures share: how they draw models and views, and the files they leave.
+"""Shared by the programs of figures: drawing models and views, and the files of a figure.
 
-A figure NAME is WORKDIR/figures/NAME.png; NAME.json beside it has its caption, what it shows and
-the command that made it.
-
-Volumes are drawn as seen from SIDE degrees beside the input's camera, and from the opposite side.
+A figure NAME is WORKDIR/figures/NAME.png. NAME.json beside it has its caption, its contents and the
+command that made it. Volumes are drawn from SIDE degrees beside the input's camera.
 """
 
-import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,39 +14,37 @@ from PIL import Image
 from tqdm import tqdm
 
 from cvn import figures, infer
-from cvn.dataset import Dataset, read_record
+from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
-from experiments.lib import differences, picks, protocol, runs, scoring
+from experiments.lib import differences, picks, protocol, runs, scoring, stages
 from experiments.lib.picks import Pick
-from experiments.lib.protocol import Plan
+from experiments.lib.protocol import Plan, Predictor
 from experiments.lib.runs import Run
-from experiments.lib.stages import argv
 
 SIDE = 30  # degrees
 COLORED = tuple(name for name, m in protocol.METHODS.items() if m.color)
-Runs = Mapping[str, Mapping[str, Run]]  # by category, then by training
 
 
 class Shown(NamedTuple):
-  """What the data set has of a pick."""
+  """A pick's data."""
 
   view: np.ndarray  # [H, W, 4] u8
   true: ColoredVoxels
 
 
 def define_flags(f: flags.FlagValues, name: str) -> None:
-  """The flags of every figure; `name` is its own."""
+  """The flags of every figure; `name` is the default of --name."""
   own = {'flag_values': f}
   protocol.define_flags(f)
-  flags.DEFINE_string('name', name, 'The name of the files in WORKDIR/figures.', **own)
-  flags.DEFINE_integer('tile', 192, 'Pixels of each small picture.', lower_bound=32, **own)
+  flags.DEFINE_string('name', name, 'Name of the files in WORKDIR/figures.', **own)
+  flags.DEFINE_integer('tile', 192, 'Size of each small picture in pixels.', lower_bound=32, **own)
 
 
 def define_choice_flags(f: flags.FlagValues, per_category: int) -> None:
-  """The flags of figures that show models drawn at random."""
+  """The flags of figures that show random models."""
   own = {'flag_values': f}
-  flags.DEFINE_integer('figure_seed', 0, 'The seed of the choice of models and views.', 0, **own)
+  flags.DEFINE_integer('figure_seed', 0, 'Seed of the choice of models and views.', 0, **own)
   flags.DEFINE_integer('per_category', per_category, 'Test models of each category.', 1, **own)
 
 
@@ -70,12 +65,13 @@ def read(dataset: Dataset, pick: Pick) -> Shown:
 def by_category(
   plan: Plan, categories: Iterable[str], make: Callable[[str], Any]
 ) -> dict[str, Any]:
-  """What is made of networks, by category.
+  """Something made of networks for each category.
 
   Args:
     plan: how networks are trained.
-    categories: any may occur more than once.
-    make: takes what networks are trained on, a category or `protocol.ALL`.
+    categories: may repeat.
+    make: called once for each set of networks, with the category they are trained on or
+      `protocol.ALL`.
   """
   found = {}
   for trained_on, judged in protocol.trained_for(plan, list(dict.fromkeys(categories))):
@@ -83,15 +79,16 @@ def by_category(
   return found
 
 
-def title_of(method: str) -> str:
-  """A method's title in the letters that pictures have."""
-  return protocol.METHODS[method].title.replace('α', 'alpha').replace(' (', '\n(')
+def find_predictors(plan: Plan, categories: Iterable[str], method: str) -> dict[str, Predictor]:
+  """A method's predictors by category; trains and evaluates what is missing."""
+  seed = plan.seeds[0]
+  return by_category(plan, categories, lambda c: protocol.make_predictor(plan, method, c, seed))
 
 
 def arrange(
   rows: Sequence[Sequence[np.ndarray]], titles: Sequence[str], shown: Sequence[Pick]
 ) -> np.ndarray:
-  """Rows of tiles, one for each pick, with their titles: category and the view's azimuth."""
+  """Rows of tiles, one for each pick, with their titles: category and azimuth of the view."""
   return figures.grid_of_images(
     figures.trim(rows),
     column_titles=titles,
@@ -100,14 +97,35 @@ def arrange(
 
 
 def draw(voxels: ColoredVoxels, pick: Pick, *, tile: int, turn: float = 0) -> np.ndarray:
-  """Voxels as seen from beside the pick's view, turned further by degrees; `tile` pixels wide."""
+  """Draws voxels from beside the pick's view, turned by further degrees; `tile` pixels wide."""
   return figures.draw_voxels(voxels, pick.azimuth + SIDE + turn, size=tile)
+
+
+def make_random(
+  plan: Plan, methods: Sequence[str], *, name: str, tile: int, seed: int, per_category: int
+) -> None:
+  """Draws and writes the results of methods for random test models and views.
+
+  Args:
+    plan: how networks are trained; what is missing is trained.
+    methods: keys of `protocol.METHODS`.
+    name: of the figure.
+    tile: size of each small picture in pixels.
+    seed: of the choice.
+    per_category: models of each category.
+  """
+  dataset = open_dataset(plan.data)
+  shown = choose(plan, dataset, seed=seed, per_category=per_category)
+  image = draw_results(plan, dataset, shown, methods, tile=tile)
+  found = find_runs(plan, shown, methods)
+  caption = f'{say_choice(seed)} {say_training(found)}'
+  write(plan, name, image, caption, shown, methods, found, figure_seed=seed)
 
 
 def draw_results(
   plan: Plan, dataset: Dataset, shown: Sequence[Pick], methods: Sequence[str], *, tile: int
 ) -> np.ndarray:
-  """Rows of picks: the input, each method's result and the truth, from two opposite sides."""
+  """A row for each pick: the input, each method's result and the truth, from two opposite sides."""
   known = [read(dataset, p) for p in shown]
   rows = [[figures.enlarge(k.view, tile)] for k in known]
 
@@ -117,41 +135,39 @@ def draw_results(
 
   categories = [p.model.category for p in shown]
   for method in tqdm(methods, desc='draw', unit='method', disable=None):
-    predictors = by_category(
-      plan, categories, lambda c, m=method: protocol.make_predictor(plan, m, c, plan.seeds[0])
-    )
+    predictors = find_predictors(plan, categories, method)
     add(
       infer.to_voxels(predictors[c](k.view[None])[0])
       for c, k in zip(categories, known, strict=True)
     )
   add(k.true for k in known)
-  titles = ['input']
-  for title in (*map(title_of, methods), 'truth'):
-    titles += [title, 'from behind']
-  return arrange(rows, titles, shown)
+  # The font of pictures has no Greek letters.
+  names = [protocol.METHODS[m].title.replace('α', 'alpha').replace(' (', '\n(') for m in methods]
+  titles = [t for name in (*names, 'truth') for t in (name, 'from behind')]
+  return arrange(rows, ['input', *titles], shown)
 
 
 def draw_flow_code(size: int) -> np.ndarray:
-  """The colour code of flows: the place (u, v) of the input in its colour."""
+  """The colour code of flows: each place (u, v) of the input in its colour."""
   ticks = (np.arange(size) + 0.5) / size
   return figures.to_uint8(figures.flow_color_code(np.stack(np.meshgrid(ticks, ticks), -1)))
 
 
 def say_choice(seed: int) -> str:
   """How the models were chosen, for a caption."""
-  return f'Test models and views drawn at random, not chosen: seed {seed}.'
+  return f'Random test models and views, seed {seed}; none was chosen by eye.'
 
 
 def find_runs(
   plan: Plan, shown: Sequence[Pick], methods: Sequence[str], trainings: Sequence[str] = ()
-) -> Runs:
-  """The runs of the networks that a figure shows.
+) -> dict[str, dict[str, Run]]:
+  """The runs of the networks in a figure, by category and training.
 
   Args:
     plan: how they are trained.
     shown: the figure's picks.
     methods: keys of `protocol.METHODS`.
-    trainings: of the networks that it shows; by default all that the methods have.
+    trainings: of the networks; by default all trainings of the methods.
   """
   used = trainings or sorted(
     {t for m in methods for t in (protocol.METHODS[m].shape, protocol.METHODS[m].color)}
@@ -163,54 +179,46 @@ def find_runs(
   return by_category(plan, picks.categories_of(shown), find)
 
 
-def say_training(found: Runs) -> str:
-  """Which networks these are, for a caption."""
-  return differences.say_training(_each(found))
+def say_training(found: Mapping[str, Mapping[str, Run]]) -> str:
+  """Which networks a figure shows, for a caption."""
+  return differences.say_training(run for own in found.values() for run in own.values())
 
 
-def describe(
-  plan: Plan, shown: Sequence[Pick], methods: Sequence[str], found: Runs
-) -> dict[str, Any]:
-  """What a figure shows, as JSON values.
+def write(
+  plan: Plan,
+  name: str,
+  image: np.ndarray,
+  caption: str,
+  shown: Sequence[Pick],
+  methods: Sequence[str],
+  found: Mapping[str, Mapping[str, Run]],
+  **facts: Any,
+) -> None:
+  """Writes a figure and the file beside it, and prints their paths.
 
   Args:
-    plan: how its networks are trained.
-    shown: in the order of the figure's rows.
+    plan: how the networks are trained.
+    name: of the figure.
+    image: uint8 [H, W, 3].
+    caption: for people.
+    shown: the picks in the order of the rows.
     methods: keys of `protocol.METHODS`.
-    found: the runs of its networks.
+    found: of `find_runs`.
+    **facts: more to store, as JSON values.
   """
-  return {
+  stem = os.path.join(plan.workdir, 'figures', name)
+  with atomic_write(f'{stem}.png') as temporary:
+    Image.fromarray(image).save(temporary)
+  known = {
+    'caption': caption,
     'data': plan.data,
     'methods': {m: protocol.METHODS[m].title for m in methods},
     'networks': {
       category: {t: os.path.relpath(run.workdir, plan.workdir) for t, run in own.items()}
       for category, own in found.items()
     },
-    'runs': runs.to_json(_each(found)),
+    'runs': runs.to_json(run for own in found.values() for run in own.values()),
     'rows': [picks.to_json(p) for p in shown],
   }
-
-
-def write(stem: str, image: np.ndarray, caption: str, facts: Mapping[str, Any]) -> None:
-  """Writes a figure, and beside it its caption and what it shows; prints where.
-
-  Args:
-    stem: the path without suffix.
-    image: uint8 [H, W, 3].
-    caption: for people.
-    facts: for programs, JSON values.
-  """
-  with atomic_write(f'{stem}.png') as temporary:
-    Image.fromarray(image).save(temporary)
-  write_facts(stem, caption, facts)
+  stages.write_results(f'{stem}.json', known | facts)
   print(f'{stem}.png\n{stem}.json')
-
-
-def write_facts(stem: str, caption: str, facts: Mapping[str, Any]) -> None:
-  """Writes STEM.json: a figure's caption, its facts, and the command that made it."""
-  with atomic_write(f'{stem}.json') as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps({'caption': caption, 'argv': argv(), **facts}, indent=1) + '\n')
-
-
-def _each(found: Runs) -> list[Run]:
-  return [run for own in found.values() for run in own.values()]

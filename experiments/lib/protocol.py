@@ -1,14 +1,13 @@
 """The paper's methods as trainings and evaluations, for the programs of its tables and figures.
 
-Everything lies below --workdir and is reused by all programs that ask for the same (see
+Everything is below --workdir and is reused by all programs that ask for the same (see
 experiments.lib.runs):
 
   runs/<training>_<category or 'all'>_<seed>                    what experiments.train writes
   scores/<method>_<category or 'all'>_<seed>[_<source>]_<split>[_val].json
                                                                 what experiments.evaluate writes
 
-The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60. --quick
-trains one epoch, to see whether all works.
+The defaults are the paper's protocol: one model a category, 500 epochs, batches of 60.
 """
 
 import os
@@ -37,10 +36,10 @@ VALIDATION_VIEWS = 60
 def define_flags(f: flags.FlagValues) -> None:
   """The flags that the programs of tables and figures share."""
   own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('workdir', None, 'The folder of all trainings and results.', **own)
-  flags.DEFINE_bool('quick', False, 'One epoch: whether it works, not how well.', **own)
-  flags.DEFINE_list('category', [], "Categories; all of the data set's by default.", **own)
+  flags.DEFINE_string('data', None, 'Data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'Folder of all trainings and results.', **own)
+  flags.DEFINE_bool('quick', False, 'Train one epoch only, to try the program.', **own)
+  flags.DEFINE_list('category', [], 'Categories; all of the data set by default.', **own)
   flags.DEFINE_enum(
     'models',
     'category',
@@ -48,29 +47,29 @@ def define_flags(f: flags.FlagValues) -> None:
     'Train a model for each category, as the paper does, or one for all categories.',
     **own,
   )
-  flags.DEFINE_list('seeds', ['0'], 'Of everything random; one training each.', **own)
+  flags.DEFINE_list('seeds', ['0'], 'Random seeds, with one training each.', **own)
   flags.DEFINE_list('train_source', [], 'Sources of models to train on; all by default.', **own)
   flags.DEFINE_list(
     'source', [], 'Sources of models to validate and test on; all by default.', **own
   )
-  flags.DEFINE_integer('epochs', 500, 'Of each training.', lower_bound=1, **own)
-  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
-  flags.DEFINE_float('learning_rate', None, "A constant one, instead of the recipes'.", **own)
-  flags.DEFINE_integer('fresh_statistics', 0, 'As of experiments.train.', lower_bound=0, **own)
-  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'As of experiments.train.', **own)
+  flags.DEFINE_integer('epochs', 500, 'Epochs of each training.', lower_bound=1, **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views in a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "First learning rate, instead of the recipes'.", **own)
+  flags.DEFINE_integer('fresh_statistics', 0, 'See experiments.train.', lower_bound=0, **own)
+  flags.DEFINE_enum('dtype', 'float32', DTYPES, 'See experiments.train.', **own)
   flags.DEFINE_enum(
     'threshold',
     'paper',
     ('paper', 'val'),
-    'From which score on a voxel is occupied: what the program of the paper has, 0.8 (of the'
-    ' adapted R2N2 always as chosen on the split val), or chosen on the split val for all.',
+    "Occupancy threshold: the 0.8 of the paper's program (for the adapted R2N2 always chosen on the"
+    ' split val), or chosen on the split val for every method.',
     **own,
   )
   flags.mark_flags_as_required(['data', 'workdir'], f)
 
 
 class Plan(NamedTuple):
-  """On what networks are trained and evaluated, and how."""
+  """How networks are trained and evaluated, and on which data."""
 
   data: str  # the folder or URL of the data set
   workdir: str
@@ -107,7 +106,7 @@ def read_flags(f: flags.FlagValues) -> Plan:
 
 
 def categories(plan: Plan) -> list[str]:
-  """The plan's categories or, where it names none, the data set's, the paper's first.
+  """The plan's categories; by default all of the data set, the paper's first.
 
   Raises:
     UserError: the data set has no such category.
@@ -121,19 +120,18 @@ def categories(plan: Plan) -> list[str]:
 
 
 def train(plan: Plan, training: str, category: str, seed: str) -> Run:
-  """Trains a network, or what is missing of it.
+  """Trains a network, unless that is done.
 
   Args:
     plan: how.
     training: a key of `TRAININGS`.
     category: or `ALL`.
-    seed: of everything random.
+    seed: of the training.
 
   Raises:
-    UserError: the network that is there was trained otherwise.
+    UserError: the folder has a network that was trained otherwise.
   """
   named: dict[str, Any] = {
-    **TRAININGS[training],
     'data': plan.data,
     'workdir': os.path.join(plan.workdir, 'runs', f'{training}_{category}_{seed}'),
     'category': ','.join(plan.categories) if category == ALL else category,
@@ -146,6 +144,7 @@ def train(plan: Plan, training: str, category: str, seed: str) -> Run:
     'fresh_statistics': plan.fresh_statistics,
     'validate_every': max(1, plan.epochs // VALIDATIONS),
     'validation_views': VALIDATION_VIEWS,
+    **TRAININGS[training],
   }
   if plan.learning_rate is not None:
     named['learning_rate'] = plan.learning_rate
@@ -167,7 +166,7 @@ def evaluate(
     plan: how.
     method: a key of `METHODS`.
     category: of the models it was trained on and is evaluated on, or `ALL`.
-    seed: of everything random.
+    seed: of the training.
     split: to evaluate on.
     threshold: 'paper' or 'val', instead of the plan's.
 
@@ -175,7 +174,7 @@ def evaluate(
     The report that experiments.evaluate writes.
 
   Raises:
-    UserError: the networks or scores that are there were made otherwise.
+    UserError: the folder has networks or scores that were made otherwise.
   """
   own = METHODS[method]
   chosen = 'val' in (own.threshold, threshold or plan.threshold)

@@ -1,10 +1,10 @@
-"""Trainings and evaluations, made where they are missing and reused where they are those asked for.
+"""Trainings and evaluations: made if they are missing, reused if they are the ones asked for.
 
-A run is reused where its stored configuration is the one that experiments.train would store, field
-by field, and it has as many epochs as are asked for; with fewer it goes on. A file of scores is
-reused where its stored options are those that experiments.evaluate would store; where its networks
-have been trained further since, or anew, it is made anew. Everything else is an error that names
-the field, both values, and the way out. So what is said of numbers can be read from what is stored.
+A run is reused if its stored configuration equals the one that experiments.train would store, field
+by field, and it has the epochs asked for; with fewer epochs it continues. A file of scores is
+reused if its stored options equal those that experiments.evaluate would store; if its networks have
+changed since, it is made again. Everything else is an error that names the field, both values, and
+the way out. So captions and headers can be written from the stored configuration.
 """
 
 import os
@@ -18,7 +18,7 @@ from experiments.lib.stages import read_json, run_program
 
 
 class Run(NamedTuple):
-  """A training as its folder tells it."""
+  """A training as stored in its folder."""
 
   workdir: str
   config: dict[str, Any]  # see training.make_config
@@ -26,16 +26,16 @@ class Run(NamedTuple):
 
 
 def read(workdir: str) -> Run:
-  """What is stored of a run.
+  """Reads a run from its folder.
 
   Raises:
-    UserError: there is none, or it is damaged.
+    UserError: the folder has none, or it is damaged.
   """
   return Run(workdir, checkpoint.read_config(workdir), checkpoint.latest_step(workdir) or 0)
 
 
 def epochs_of(run: Run) -> float:
-  """How often a run has seen each of its models."""
+  """The number of times that a run has seen each of its models."""
   return run.step / steps_per_epoch(run.config)
 
 
@@ -45,13 +45,13 @@ def steps_per_epoch(config: dict[str, Any]) -> int:
 
 
 def of_report(report: dict[str, Any]) -> list[Run]:
-  """The runs of the networks that a report of experiments.evaluate is about, as it tells them."""
+  """The runs of the networks in a report of experiments.evaluate."""
   found = report['options']['runs']
   return [Run(report[kind], run['config'], run['step']) for kind, run in found.items()]
 
 
 def to_json(used: Iterable[Run]) -> dict[str, dict[str, Any]]:
-  """What is stored of runs, by the names of their folders, as JSON values."""
+  """Runs by the names of their folders, as JSON values."""
   return {
     os.path.basename(run.workdir): {'step': run.step, 'epochs': epochs_of(run), **run.config}
     for run in used
@@ -59,10 +59,10 @@ def to_json(used: Iterable[Run]) -> dict[str, dict[str, Any]]:
 
 
 def train(folder: str, **named: Any) -> Run:
-  """A training with these flags of experiments.train, or what is missing of it.
+  """Trains with these flags of experiments.train, unless that is done.
 
   Args:
-    folder: where the seconds are noted.
+    folder: where the seconds are kept.
     **named: the flags.
 
   Raises:
@@ -75,10 +75,10 @@ def train(folder: str, **named: Any) -> Run:
 
 
 def evaluate(folder: str, **named: Any) -> dict[str, Any]:
-  """The report of experiments.evaluate with these flags, from its file --json where it is there.
+  """The report of experiments.evaluate with these flags, from its file --json if it exists.
 
   Args:
-    folder: where the seconds are noted.
+    folder: where the seconds are kept.
     **named: the flags.
 
   Raises:
@@ -89,7 +89,7 @@ def evaluate(folder: str, **named: Any) -> dict[str, Any]:
     report, asked = read_json(path), evaluation.options(**named)
     stored = report.get('options') if isinstance(report, dict) else None
     if not isinstance(stored, dict):
-      raise UserError(f'{path} does not tell how it was made: delete it and run this again')
+      raise UserError(f'{path} does not say how it was made: delete it and run this again')
     if stored.get('runs') == asked['runs']:
       checkpoint.compare(path, stored, asked)
       return report
@@ -98,7 +98,7 @@ def evaluate(folder: str, **named: Any) -> dict[str, Any]:
 
 
 def _is_finished(workdir, asked, epochs):
-  """Whether the run is there with all its epochs; raises where another one is."""
+  """Whether the run exists with all its epochs; raises if another run is in its place."""
   if not os.path.lexists(os.path.join(workdir, 'config.json')):
     return False
   checkpoint.start(workdir, asked)

@@ -1,272 +1,182 @@
-"""Numbers of methods, models and seeds as the tables of the paper show them.
+"""Tables of methods in Markdown, for terminals and for the report.
 
-A model's number is its mean over views. A cell is the mean over models, and over seeds where there
-are several, with the standard error over models; the last column is the mean of the categories'
-means, as in the paper.
+Our numbers stand beside the paper's, and the best of each column is bold.
 """
 
-import json
-import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+import math
+import statistics
+from collections.abc import Mapping, Sequence
 
-import numpy as np
+from cvn.evaluation.intervals import Estimate
+from experiments.lib import markdown, protocol, results
+from experiments.lib.evaluation import ALPHAS
+from experiments.lib.markdown import NONE, detail, escape
+from experiments.lib.results import AVERAGE, Comparison, Line, Number, Table
 
-from cvn.files import atomic_write
-from experiments.lib import differences, markdown, protocol, runs
-from experiments.lib.protocol import Plan
-from experiments.lib.stages import argv
-
-AVERAGE = 'avg.'
-
-
-class Scores(NamedTuple):
-  """A method's numbers in a category."""
-
-  models: tuple[str, ...]  # their ids
-  values: np.ndarray  # [seeds, models], NaN where no view of the model has a number
+FEW = 5  # test models: with fewer, a mean says little
+# Blends with an alpha other than the paper's final choice; they are not ranked.
+VARIANTS = {protocol.METHODS[f'blended_{a:g}'].title for a in ALPHAS[1:]}
+FORMS = {'iou': '.3f', 'psnr_rgb': '.2f', 'psnr_ycbcr': '.2f'}  # of numbers, by metric
 
 
-class Row(NamedTuple):
-  """A line of a table."""
-
-  title: str
-  scores: Mapping[str, Scores]  # by category
-  published: Mapping[str, float]  # the paper's numbers, by category and `AVERAGE`
-
-
-class Comparison(NamedTuple):
-  """How much a method is above another, model by model."""
-
-  better: str  # their titles
-  other: str
-  difference: float  # the mean over models
-  error: float  # standard error over models; 0 for one model
-  models: int
-  median: float
-  above: float  # the share of models in which it is above
-  seeds: list[float]  # differences of averages by seed; empty for one seed
-
-
-class Result(NamedTuple):
-  """An evaluation of a method."""
-
-  categories: list[str]  # that its networks are evaluated on
-  report: dict[str, Any]  # of experiments.evaluate
-
-
-def evaluate(
-  plan: Plan, method: str, *, split: str = 'test', threshold: str | None = None
-) -> list[Result]:
-  """A method's evaluations, one for each of its networks and seeds; makes what is missing.
+def methods_table(table: Table, form: str, caption: str) -> str:
+  """A table of methods by category, what can be read from it, and the comparisons.
 
   Args:
-    plan: how.
-    method: a key of `protocol.METHODS`.
-    split: of the models.
-    threshold: 'paper' or 'val', instead of the plan's.
-  """
-  return [
-    Result(
-      judged,
-      protocol.evaluate(plan, method, trained_on, seed, split=split, threshold=threshold),
-    )
-    for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan))
-    for seed in plan.seeds
-  ]
-
-
-def select(results: Iterable[Result], metric: str, *, who: str = 'networks') -> dict[str, Scores]:
-  """A method's numbers by category.
-
-  Args:
-    results: of `evaluate`.
-    metric: a key of `scoring.METRICS`.
-    who: 'networks', or 'baselines' for the trivial ones beside the method.
-  """
-  found: dict[str, list[dict[str, float]]] = {}
-  for result in results:
-    for category in result.categories:
-      means = {
-        name: _mean(model[metric])
-        for name, model in result.report[who]['by_model'].items()
-        if model['category'] == category
-      }
-      if means:
-        found.setdefault(category, []).append(means)
-  return {
-    category: Scores(tuple(seeds[0]), np.array([[s[name] for name in seeds[0]] for s in seeds]))
-    for category, seeds in found.items()
-  }
-
-
-def mean_and_error(scores: Scores) -> tuple[float, float, int]:
-  """(mean, standard error over models, number of models); NaN where there are too few."""
-  by_model = _nanmean(scores.values, axis=0)
-  by_model = by_model[~np.isnan(by_model)]
-  count = len(by_model)
-  error = np.std(by_model, ddof=1) / np.sqrt(count) if count > 1 else np.nan
-  return float(np.mean(by_model)) if count else np.nan, float(error), count
-
-
-def seed_means(row: Row) -> np.ndarray:
-  """The average of the categories' means for each seed, [seeds]."""
-  return np.mean([_nanmean(s.values, axis=1) for s in row.scores.values()], axis=0)
-
-
-def to_markdown(rows: Sequence[Row], form: str) -> str:
-  """A table: our numbers, and the paper's in brackets; a line with the number of models.
-
-  Args:
-    rows: with the same categories.
+    table: the methods.
     form: of numbers, such as '.3f'.
+    caption: above the table.
   """
-  names = list(dict.fromkeys(c for row in rows for c in row.scores))
-  lines = []
-  for row in rows:
-    cells = []
-    for c in names:
-      mean, error, _ = mean_and_error(row.scores[c]) if c in row.scores else (np.nan,) * 3
-      cells.append(_cell(mean, error, row.published.get(c), form))
-    averages = seed_means(row)
-    spread = np.std(averages, ddof=1) if len(averages) > 1 else np.nan
-    text = _cell(float(np.mean(averages)), np.nan, row.published.get(AVERAGE), form)
-    cells.append(text + (f' (seeds: {spread:{form}})' if len(averages) > 1 else ''))
-    lines.append([row.title, *cells])
-  counts = [str(len(next(r.scores[c] for r in rows if c in r.scores).models)) for c in names]
-  return markdown.table(['', *names, AVERAGE], [*lines, ['test models', *counts, '']])
+  lines = table.lines
+  names = list(dict.fromkeys(c for line in lines for c in line.categories))
+  columns = [
+    x for c in names for x in _category([line.categories.get(c) for line in lines], c, form)
+  ]
+  if len(names) > 1:
+    columns += _average(lines, form)
+  elif max(len(line.seeds) for line in lines) > 1:
+    columns += _by_seed(lines, form)
+  rows = [[escape(line.title), *(c[n] for _, c in columns)] for n, line in enumerate(lines)]
+  parts = [markdown.numbers(['', *(head for head, _ in columns)], rows, caption=caption)]
+  if found := remarks(lines, names):
+    parts.append(markdown.items(found))
+  if table.comparisons:
+    caption = f'{table.comparisons[0].better}, compared model by model'
+    parts.append(comparisons([(f'− {c.other}', c, form) for c in table.comparisons], caption))
+  return '\n\n'.join(parts)
 
 
-def compare(better: Row, other: Row) -> Comparison:
-  """How much a method is above another, model by model."""
-  differences = np.concatenate(
-    [
-      _nanmean(better.scores[c].values, axis=0) - _nanmean(other.scores[c].values, axis=0)
-      for c in better.scores
+def comparisons(rows: Sequence[tuple[str, Comparison, str]], caption: str) -> str:
+  """A table of comparisons: (label, comparison, form of its numbers)."""
+  seeds = max(len(c.seeds) for _, c, _ in rows)
+
+  def cells(label, c, form):
+    signed = [f'{x:+{form}}'.replace('-', '−') for x in (c.difference, c.median, *c.seeds)]
+    first = f'{signed[0]} {detail(f"± {c.error:{form}}")}'
+    return [
+      escape(label),
+      first,
+      verdict(c),
+      signed[1],
+      f'{100 * c.above:.0f} %',
+      c.models,
+      *signed[2:],
     ]
-  )
-  differences = differences[~np.isnan(differences)]
-  count = len(differences)
-  error = np.std(differences, ddof=1) / np.sqrt(count) if count > 1 else 0
-  by_seed = seed_means(better) - seed_means(other)
-  return Comparison(
-    better.title,
-    other.title,
-    *(float(x) for x in (np.mean(differences), error)),
-    count,
-    *(float(x) for x in (np.median(differences), np.mean(differences > 0))),
-    by_seed.tolist() if len(by_seed) > 1 else [],
-  )
+
+  head = ['', 'difference', '', 'median', 'above in', 'of models', *(['by seed'] * seeds)]
+  return markdown.numbers(head, [cells(*row) for row in rows], caption=caption)
 
 
-def to_line(c: Comparison, form: str) -> str:
-  """A comparison for people.
-
-  Args:
-    c: the comparison.
-    form: of numbers, such as '.3f'.
-  """
-  seeds = f'; by seed {", ".join(f"{d:+{form}}" for d in c.seeds)}' if c.seeds else ''
-  return (
-    f'{c.better} - {c.other}: {c.difference:+{form}} ± {c.error:{form}} over {c.models} models,'
-    f' median {c.median:+{form}}, above in {c.above:.0%}{seeds}'
-  )
+def verdict(c: Comparison) -> str:
+  """Whether a difference is more than chance, by two standard errors over models."""
+  if abs(c.difference) <= 2 * c.error:
+    return 'not told apart'
+  return 'above' if c.difference > 0 else 'below'
 
 
-def tell(heading: str, rows: Mapping[str, Row], ours: str, form: str) -> dict[str, Any]:
-  """Prints a table and how much our method is better than each other; the same as JSON values.
+def remarks(lines: Sequence[Line], names: Sequence[str]) -> list[str]:
+  """The order of the methods here and in the paper, and a warning about few models."""
+  found = []
+  ranked = [x for x in lines if not math.isnan(_published(x)) and x.title not in VARIANTS]
+  if len(ranked) > 1:
+    here, paper = (sorted(ranked, key=key, reverse=True) for key in (results.overall, _published))
+    orders = [' > '.join(line.title for line in order) for order in (here, paper)]
+    if here == paper:
+      found.append(f'The order of the methods is the paper’s: {orders[0]}.')
+    else:
+      found.append(f'Order of the methods: {orders[0]}; in the paper: {orders[1]}.')
+  few = [f'{c} {n}' for c in names if (n := _count(lines, c)) < FEW]
+  if few:
+    found.append(f'Few test models ({", ".join(few)}): numbers there say little.')
+  return found
 
-  Args:
-    heading: above the table.
-    rows: by name.
-    ours: the name of our method; without it among the rows nothing is compared.
-    form: of numbers, such as '.3f'.
-  """
-  others = [name for name in rows if ours in rows and name != ours]
-  comparisons = [compare(rows[ours], rows[name]) for name in others]
-  print(f'\n{heading}\n')
-  print(to_markdown([*rows.values()], form))
-  print('\n' + '\n'.join(to_line(c, form) for c in comparisons))
-  return to_part([*rows.values()], comparisons)
 
-
-def finish(workdir: str, name: str, table: Mapping[str, Any], results: Iterable[Result]) -> None:
-  """Writes WORKDIR/tables/NAME.json, and says how its numbers differ from the paper's.
+def ablation_table(parts: Mapping[str, Table], caption: str) -> str:
+  """A line for each step: means over all models, and the gain over the first line.
 
   Args:
-    workdir: the folder.
-    name: of the table.
-    table: JSON values.
-    results: all evaluations that its numbers are from: what is told of the numbers is read there.
+    parts: tables by '<split> <metric>'.
+    caption: above the table.
   """
-  path = os.path.join(workdir, 'tables', f'{name}.json')
-  told = describe(results)
-  with atomic_write(path) as temporary, open(temporary, 'w') as out:
-    out.write(json.dumps({'argv': argv(), **told, **table}, indent=1) + '\n')
-  print(f'\n{differences.to_text(told["differences"])}\n\n{path}')
+  heads = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB, dB'}
+  head, columns, compared = [''], [], []
+  for name, table in parts.items():
+    split, metric = name.split()
+    values = [results.mean_over_models(line) for line in table.lines]
+    gains = ['', *(_gain(v, values[0], metric == 'iou') for v in values[1:])]
+    columns.append(_cells(values, FORMS[metric], gains))
+    head.append(f'{heads[metric]}, {split}')
+    compared += [(heads[metric], c, FORMS[metric]) for c in table.comparisons]
+  titles = [escape(line.title) for line in next(iter(parts.values())).lines]
+  text = markdown.numbers(head, zip(titles, *columns, strict=True), caption=caption)
+  if not compared:
+    return text
+  caption = 'The last line minus the first, model by model, on test'
+  return f'{text}\n\n{comparisons(compared, caption)}'
 
 
-def describe(results: Iterable[Result]) -> dict[str, Any]:
-  """The data set, the runs of all networks, and how they differ from the paper's; JSON values."""
-  reports = [r.report for r in results]
-  used = [run for report in reports for run in runs.of_report(report)]
-  tested = {
-    f'{report["data"]} {name}': model
-    for report in reports
-    if report['split'] == 'test'
-    for name, model in report['networks']['by_model'].items()
-  }
-  return {
-    'data': next(iter(report['data'] for report in reports)),
-    'runs': runs.to_json(used),
-    'differences': differences.find_differences(used, tested),
-  }
+def estimate_cell(e: Estimate, form: str) -> str:
+  """A number and its interval."""
+  if math.isnan(e.value):
+    return NONE
+  interval = '' if math.isnan(e.low) else f'[{e.low:{form}}, {e.high:{form}}]'
+  return f'{e.value:{form}} {detail(interval)}'.rstrip()
 
 
-def to_part(rows: Sequence[Row], comparisons: Sequence[Comparison]) -> dict[str, Any]:
-  """A table as JSON values."""
-  return {'rows': to_json(rows), 'comparisons': [c._asdict() for c in comparisons]}
+def _gain(value: float, first: float, percent: bool) -> str:
+  """The gain over the first value; empty if there is none."""
+  if math.isnan(value - first) or (percent and not first):
+    return ''
+  return f'{value / first - 1:+.0%}' if percent else f'{value - first:+.2f}'
 
 
-def to_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-  """Rows as JSON values: None where there is no number."""
+def _category(numbers: Sequence[Number | None], name: str, form: str):
+  """The columns of a category, (head, cells): ours and, if there is one, the paper's."""
+  count = max((n.models for n in numbers if n), default=0)
+  none = Number(math.nan, math.nan, count, math.nan)
+  numbers = [n if n and n.models else none for n in numbers]
+  details = [
+    ('' if math.isnan(n.error) else f'± {n.error:{form}}')
+    + ('' if n.models == count else f' ({n.models} models)')
+    for n in numbers
+  ]
+  columns = [(f'**{escape(name)} ({count})**', _cells([n.mean for n in numbers], form, details))]
+  return columns + _paper([n.published for n in numbers], form)
 
-  def number(x):
-    return None if x is None or np.isnan(x) else float(x)
 
+def _average(lines: Sequence[Line], form: str):
+  spread = [f'± {statistics.stdev(x.seeds):{form}}' if len(x.seeds) > 1 else '' for x in lines]
+  columns = [(f'**{AVERAGE}**', _cells([results.overall(x) for x in lines], form, spread))]
+  return columns + _paper([x.published for x in lines], form)
+
+
+def _by_seed(lines: Sequence[Line], form: str):
+  count = max(len(x.seeds) for x in lines)
+  padded = [[*x.seeds, *[math.nan] * (count - len(x.seeds))] for x in lines]
+  return [('by seed', _cells([p[n] for p in padded], form)) for n in range(count)]
+
+
+def _paper(values: Sequence[float], form: str):
+  return [] if all(map(math.isnan, values)) else [('paper', _cells(values, form))]
+
+
+def _cells(values: Sequence[float], form: str, details: Sequence[str] = ()) -> list[str]:
+  """Numbers and their details; the highest, as it is printed, is bold."""
+  texts = [NONE if math.isnan(x) else f'{x:{form}}' for x in values]
+  best = max((float(t) for t in texts if t != NONE), default=math.nan)
+  bold = [f'**{t}**' if t != NONE and float(t) == best else t for t in texts]
   return [
-    {
-      'title': row.title,
-      'categories': {
-        c: {
-          **dict(zip(('mean', 'error', 'models'), map(number, mean_and_error(s)), strict=True)),
-          'seeds': [number(x) for x in _nanmean(s.values, axis=1)],
-          'published': row.published.get(c),
-        }
-        for c, s in row.scores.items()
-      },
-      'average': {
-        'seeds': [number(x) for x in seed_means(row)],
-        'published': row.published.get(AVERAGE),
-      },
-    }
-    for row in rows
+    f'{t} {detail(d.strip())}'.rstrip()
+    for t, d in zip(bold, details or [''] * len(bold), strict=True)
   ]
 
 
-def _cell(mean, error, published, form):
-  if np.isnan(mean):
-    return '-'
-  text = f'{mean:{form}}' + ('' if np.isnan(error) else f' ± {error:{form}}')
-  return text + (f' [{published}]' if published is not None else '')
+def _published(line: Line) -> float:
+  """The paper's mean, or its number if there is one category."""
+  if len(line.categories) > 1:
+    return line.published
+  return next(iter(line.categories.values())).published if line.categories else math.nan
 
 
-def _mean(values):
-  numbers = [v for v in values if v is not None]
-  return float(np.mean(numbers)) if numbers else np.nan
-
-
-def _nanmean(values, axis):
-  """np.nanmean, without a warning where there is no number at all."""
-  count = np.sum(~np.isnan(values), axis=axis)
-  return np.where(count, np.nansum(values, axis=axis) / np.maximum(count, 1), np.nan)
+def _count(lines: Sequence[Line], category: str) -> int:
+  return max((x.categories[category].models for x in lines if category in x.categories), default=0)

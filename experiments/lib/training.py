@@ -1,14 +1,14 @@
-"""The settings of experiments.train: its flags, what they make of a recipe, and what is stored.
+"""The settings of experiments.train: its flags, the recipe they make, and the stored configuration.
 
-What is stored identifies a run: a training goes on, and is reused, only where all of
-it is the same.
+The configuration identifies a run: a training continues, and is reused, only if all of it is the
+same.
 """
 
 import math
 import os
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from absl import flags
 
@@ -19,6 +19,7 @@ from cvn.errors import UserError
 from cvn.networks import NETWORKS
 from cvn.ops import native
 from cvn.recipe import RECIPES, Recipe
+from experiments.lib import cli
 
 SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
 SURFACE_DISTANCES = {
@@ -33,7 +34,7 @@ SAMPLERS = {
   'nearest': sampler.nearest,
   'foreground': sampler.bilinear_foreground,
 }
-PARTS = {  # of a recipe, by the names that flags and configurations have for them
+PARTS = {  # of a recipe, by their names in flags and configurations
   'shape_loss': SHAPE_LOSSES,
   'surface_distance': SURFACE_DISTANCES,
   'sample': SAMPLERS,
@@ -41,87 +42,113 @@ PARTS = {  # of a recipe, by the names that flags and configurations have for th
 }
 
 
+class Settings(NamedTuple):
+  """A training; see the flags of the same names. None stands for the recipe's own choice."""
+
+  network: str
+  recipe: str
+  shape_loss: str | None
+  surface_distance: str | None
+  sample: str | None
+  schedule: str | None
+  learning_rate: float | None
+  mirror: bool | None
+  recolor: bool | None
+  dtype: str
+  heads: str
+  data: str
+  workdir: str
+  category: list[str]
+  source: list[str]
+  validation_source: list[str]
+  epochs: int
+  batch_size: int
+  fresh_statistics: int
+  seed: int
+  log_every: int
+  validate_every: int
+  validation_views: int
+  checkpoint_every: float
+
+
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
-  flags.DEFINE_enum('network', None, [*NETWORKS], 'Which network.', **own)
-  flags.DEFINE_enum('recipe', 'paper', sorted(RECIPES), 'What to follow where they differ.', **own)
+  flags.DEFINE_enum('network', None, [*NETWORKS], 'Network to train.', **own)
   flags.DEFINE_enum(
-    'shape_loss', None, [*SHAPE_LOSSES], "Of shapes, instead of the recipe's.", **own
+    'recipe', 'paper', sorted(RECIPES), "Recipe: the paper's, its program's, or our best.", **own
+  )
+  flags.DEFINE_enum(
+    'shape_loss', None, [*SHAPE_LOSSES], "Loss of shapes, instead of the recipe's.", **own
   )
   flags.DEFINE_enum(
     'surface_distance',
     None,
     [*SURFACE_DISTANCES],
-    "Of colours and flow, instead of the recipe's.",
+    "Distance of colours and flow, instead of the recipe's.",
     **own,
   )
   flags.DEFINE_enum(
     'dtype',
     'auto',
     DTYPE_CHOICES,
-    'Type of the volumes that the 3D layers multiply. mixed: bfloat16, while sums, statistics,'
-    ' parameters and optimizer stay float32. auto: what the run in --workdir was begun with; in a'
-    ' new run the faster type, which is mixed on accelerators, and on a CPU what was measured for'
-    ' its compiled kernels.',
+    'Type of the volumes in the products of 3D layers. mixed: bfloat16, while sums, statistics,'
+    ' parameters and optimizer stay float32. auto: the type of the run in --workdir; for a new run'
+    ' the faster type, which is mixed on accelerators and measured on a CPU.',
     **own,
   )
   flags.DEFINE_enum(
     'heads',
     'dense',
     HEADS,
-    "Where the colour network's last layers are computed in training; surface: at surface voxels"
-    ' and their neighbours alone, which is faster, and takes batch statistics there.',
+    "Where the colour network's last layers are computed in training. surface: only at surface"
+    ' voxels and their neighbours, which is faster and takes batch statistics there.',
     **own,
   )
-  flags.DEFINE_string('data', None, 'The data set: a folder or URL of datagen.generate.', **own)
-  flags.DEFINE_string('workdir', None, "The run's folder.", **own)
-  flags.DEFINE_list('category', [], 'Categories to train on; all of them by default.', **own)
+  flags.DEFINE_string('data', None, 'Data set: a folder or URL of datagen.generate.', **own)
+  flags.DEFINE_string('workdir', None, 'Folder of the run.', **own)
+  flags.DEFINE_list('category', [], 'Categories to train on; all by default.', **own)
   flags.DEFINE_list('source', [], 'Sources of models to train on; all by default.', **own)
-  flags.DEFINE_list('validation_source', [], 'Sources of models to validate on; all.', **own)
+  flags.DEFINE_list(
+    'validation_source', [], 'Sources of models to validate on; all by default.', **own
+  )
   flags.DEFINE_integer('epochs', 500, 'Epochs in all.', lower_bound=1, **own)
-  flags.DEFINE_integer('batch_size', 60, 'Views a step.', lower_bound=1, **own)
-  flags.DEFINE_float('learning_rate', None, "The first one, instead of the recipe's.", **own)
+  flags.DEFINE_integer('batch_size', 60, 'Views in a step.', lower_bound=1, **own)
+  flags.DEFINE_float('learning_rate', None, "First learning rate, instead of the recipe's.", **own)
   flags.DEFINE_enum(
     'schedule',
     None,
     [*recipes.SCHEDULES],
-    "Of the learning rate, instead of the recipe's: cosine ends at 0 with the last epoch.",
+    "Learning-rate schedule, instead of the recipe's; cosine ends at 0 with the last epoch.",
     **own,
   )
   flags.DEFINE_enum(
     'sample',
     None,
     [*SAMPLERS],
-    'How colours are sampled in training, instead of as the recipe does; foreground: the ground is'
-    ' filled with the nearest pixels of the object, as at test time.',
+    "Colour sampling in training, instead of the recipe's. foreground: the background is filled"
+    ' with the nearest pixels of the object, as at test time.',
     **own,
   )
   flags.DEFINE_bool(
-    'mirror',
-    None,
-    'Whether half of the views are mirrored, each with its object, instead of as the recipe says.',
-    **own,
+    'mirror', None, "Horizontal-flip augmentation of half of the views, or the recipe's.", **own
   )
   flags.DEFINE_bool(
-    'recolor',
-    None,
-    'Whether objects are painted in other colours at random, in views and on surfaces, instead of'
-    ' as the recipe says.',
-    **own,
+    'recolor', None, "Colour augmentation of views and surfaces, or the recipe's.", **own
   )
   flags.DEFINE_integer(
     'fresh_statistics',
     0,
-    'Training batches over which the statistics of the normalisations are taken anew for'
-    ' validation and at the end; 0 keeps running ones. Small batches and short trainings need it.',
+    'Training batches for batch-norm recalibration before validation and at the end; 0 keeps the'
+    ' running statistics. Small batches and short trainings need it.',
     lower_bound=0,
     **own,
   )
-  flags.DEFINE_integer('seed', 0, 'Of everything random.', 0, 2**32 - 1, **own)
+  flags.DEFINE_integer(
+    'seed', 0, 'Random seed for initialisation, shuffling and augmentation.', 0, 2**32 - 1, **own
+  )
   flags.DEFINE_integer('log_every', 10, 'Steps between lines of the log.', lower_bound=1, **own)
   flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
-  flags.DEFINE_integer('validation_views', 120, 'At most, each time.', lower_bound=1, **own)
+  flags.DEFINE_integer('validation_views', 120, 'Maximum views in a validation.', 1, **own)
   flags.DEFINE_float('checkpoint_every', 5, 'Minutes between checkpoints.', 0, **own)
   flags.mark_flags_as_required(['network', 'data', 'workdir'], f)
   flags.register_validator(
@@ -129,48 +156,51 @@ def define_flags(f: flags.FlagValues) -> None:
   )
 
 
-def resolve_dtype(f: flags.FlagValues) -> None:
-  """Replaces --dtype=auto by what it comes to, so that this is what is stored; prints why.
+def read_flags(f: flags.FlagValues) -> Settings:
+  """The settings that the flags describe."""
+  return Settings(*(f[name].value for name in Settings._fields))
+
+
+def resolve_dtype(s: Settings) -> Settings:
+  """The settings with a type in place of --dtype=auto; prints the reason.
 
   Raises:
-    UserError: --workdir holds a run whose settings cannot be read.
+    UserError: the settings of the run in the workdir cannot be read.
   """
-  if f.dtype != 'auto':
-    return
-  if os.path.lexists(os.path.join(f.workdir, 'config.json')):
-    stored = checkpoint.read_config(f.workdir)
-    f.dtype, why = stored.get('dtype', 'float32'), f'{f.workdir} was begun with it'
+  if s.dtype != 'auto':
+    return s
+  if os.path.lexists(os.path.join(s.workdir, 'config.json')):
+    dtype = checkpoint.read_config(s.workdir).get('dtype', 'float32')
+    why = f'the run in {s.workdir} has it'
   else:
-    f.dtype, why = native.faster_dtype()
-  print(f'--dtype=auto is {f.dtype}: {why}')
+    dtype, why = native.faster_dtype()
+  print(f'--dtype=auto is {dtype}: {why}')
+  return s._replace(dtype=dtype)
 
 
-def make_recipe(f: flags.FlagValues) -> Recipe:
-  """The recipe that the flags name, with what they change in it."""
+def make_recipe(s: Settings) -> Recipe:
+  """The recipe with the changes that the settings make."""
   names = (*PARTS, 'learning_rate', 'mirror', 'recolor')
-  asked = {name: f[name].value for name in names if f[name].value is not None}
+  asked = {name: getattr(s, name) for name in names if getattr(s, name) is not None}
   chosen = {name: PARTS[name][x] if name in PARTS else x for name, x in asked.items()}
-  return RECIPES[f.recipe]._replace(**chosen)
+  return RECIPES[s.recipe]._replace(**chosen)
 
 
 def configuration(**named: Any) -> dict[str, Any]:
-  """What the program stores as the configuration of a run when it is started with some flags."""
-  f = flags.FlagValues()
-  define_flags(f)
-  f(['train', *(f'--{k}={v}' for k, v in named.items())])
-  resolve_dtype(f)
-  dataset = open_dataset(f.data)
-  rows = data.select_rows(dataset, 'train', categories=f.category, sources=f.source)
-  return make_config(f, make_recipe(f), dataset, rows)
+  """The configuration that the program stores when it is started with some flags."""
+  s = resolve_dtype(read_flags(cli.parse(define_flags, **named)))
+  dataset = open_dataset(s.data)
+  rows = data.select_rows(dataset, 'train', categories=s.category, sources=s.source)
+  return make_config(s, make_recipe(s), dataset, rows)
 
 
 def make_config(
-  f: flags.FlagValues, recipe: Recipe, dataset: Dataset, rows: Sequence[int]
+  s: Settings, recipe: Recipe, dataset: Dataset, rows: Sequence[int]
 ) -> dict[str, Any]:
-  """All that a resumed run must share with the one it continues, and that a reused one must have.
+  """Everything that a resumed or reused run must have in common with the one asked for.
 
-  The recipe's parts are told one by one, so that a recipe of the same name that has changed since
-  is another one. `counts` is how many models of each category and source there are.
+  The recipe is stored part by part, so that a recipe that has changed under its name is another
+  one. `counts` is the number of models of each category and source.
   """
   models = [dataset.manifest.models[row] for row in rows]
   counts = Counter(f'{m.category} ({m.source})' for m in models)
@@ -182,22 +212,22 @@ def make_config(
     'models': len(models),
     'counts': dict(counts),
     'categories': sorted({m.category for m in models}),
-    **{n: f[n].value for n in names},
+    **{name: getattr(s, name) for name in names},
     **describe_recipe(recipe),
   }
-  # A schedule that ends with the training is another one where that is longer.
-  return config | ({'epochs': f.epochs} if recipe.schedule is recipes.cosine else {})
+  # A schedule that ends with the training depends on its length.
+  return config | ({'epochs': s.epochs} if recipe.schedule is recipes.cosine else {})
 
 
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:
   """The recipe as JSON values: its parts by their names."""
   names = {part: name for parts in PARTS.values() for name, part in parts.items()}
-  told = {k: names[v] if k in PARTS else v for k, v in recipe._asdict().items()}
-  return {'recipe': told.pop('name'), **told}
+  found = {k: names[v] if k in PARTS else v for k, v in recipe._asdict().items()}
+  return {'recipe': found.pop('name'), **found}
 
 
 def is_finished(workdir: str, step: int, steps_per_epoch: int, epochs: int) -> bool:
-  """Whether a run has come to the end of its epochs.
+  """Whether a run has reached the end of its epochs.
 
   Raises:
     UserError: it has gone further.

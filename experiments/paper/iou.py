@@ -2,19 +2,18 @@ r"""Table 1 of the paper: mean IoU of the three shape methods, beside the paper'
 
 python -m experiments.paper.iou --data=DIR --workdir=DIR [--models=all] [--epochs=...] [--quick]
 
-Each line is printed for both thresholds of occupancy, the authors' 0.8 and one chosen on the split
-val, since losses differ in how sure they make a network. In brackets: the paper's number. Trains
-what is missing, reuses what is there; numbers go to WORKDIR/tables/iou.json.
+The table is printed for two occupancy thresholds, the authors' 0.8 and one chosen on the split val,
+because losses differ in how confident they make a network. The program trains what is missing and
+reuses what is there; the numbers go to WORKDIR/tables/iou.json.
 """
 
 from collections.abc import Sequence
 
 from absl import flags
 
-from cvn import environment, errors
-from experiments.lib import protocol, tables
+from experiments.lib import cli, protocol, results, tables
 from experiments.lib.protocol import Plan
-from experiments.lib.tables import AVERAGE, Row
+from experiments.lib.results import AVERAGE, Row
 
 METRIC, FORM = 'iou', '.3f'
 NAMES = (*protocol.PAPER_CATEGORIES, AVERAGE)
@@ -27,48 +26,42 @@ THRESHOLDS = {'paper': "occupied: p > 0.8, as in the authors' program", 'val': '
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   protocol.define_flags(f)
   flags.DEFINE_list(
     'methods',
     ['r2n2', 'cross_entropy', 'msfcel'],
-    "Which; also msfcel_release, by the authors' recipe.",
+    'Methods to evaluate; msfcel_release and msfcel_mixed are further ones.',
     flag_values=f,
   )
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the table as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_table(protocol.read_flags(f), f.methods)
 
 
 def make_table(plan: Plan, methods: Sequence[str]) -> None:
-  """Evaluates the methods for both thresholds, prints and writes.
+  """Evaluates the methods at both thresholds, prints and writes the table.
 
   Args:
-    plan: how.
+    plan: how networks are trained and evaluated.
     methods: keys of `protocol.METHODS`.
   """
-  table, used = {'metric': METRIC}, []
+  parts, used = {}, []
   for threshold, title in THRESHOLDS.items():
-    results = {m: tables.evaluate(plan, m, threshold=threshold) for m in methods}
+    found = {m: results.evaluate(plan, m, threshold=threshold) for m in methods}
     rows = {
-      m: Row(protocol.METHODS[m].title, tables.select(r, METRIC), PUBLISHED.get(m, {}))
-      for m, r in results.items()
+      m: Row(protocol.METHODS[m].title, results.select(r, METRIC), PUBLISHED.get(m, {}))
+      for m, r in found.items()
     }
-    trivial = tables.select(results[methods[0]], METRIC, who='baselines')
+    trivial = results.select(found[methods[0]], METRIC, who='baselines')
     rows['mean_shape'] = Row('Mean training shape', trivial, {})
-    heading = f'Mean IoU, {title} (Adapted R2N2: always chosen on val)'
-    table[threshold] = tables.tell(heading, rows, 'msfcel', FORM)
-    used += [r for found in results.values() for r in found]
-  tables.finish(plan.workdir, 'iou', table, used)
+    parts[threshold] = results.tabulate(rows, 'msfcel')
+    caption = f'Mean IoU, {title} (Adapted R2N2: always chosen on val)'
+    print(f'\n{tables.methods_table(parts[threshold], FORM, caption)}')
+    used += [r for some in found.values() for r in some]
+  results.write(plan.workdir, 'iou', used, {'parts': parts})
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

@@ -2,8 +2,8 @@ r"""Tables 2 and 3 of the paper: surface PSNR in RGB and YCbCr, beside the paper
 
 python -m experiments.paper.psnr --data=DIR --workdir=DIR [--models=all] [--epochs=...] [--quick]
 
-Colours are judged on the shapes of the network trained with MSFCEL, the adapted R2N2's on its
-own. In brackets: the paper's number. Trains what is missing, reuses what is there; numbers go to
+Colours are evaluated on the shapes of the network trained with MSFCEL, those of the adapted R2N2 on
+its own shapes. The program trains what is missing and reuses what is there; the numbers go to
 WORKDIR/tables/psnr.json.
 """
 
@@ -11,11 +11,10 @@ from collections.abc import Sequence
 
 from absl import flags
 
-from cvn import environment, errors
-from experiments.lib import protocol, tables
+from experiments.lib import cli, protocol, results, tables
 from experiments.lib.protocol import Plan
+from experiments.lib.results import AVERAGE, Row
 from experiments.lib.scoring import METRICS
-from experiments.lib.tables import AVERAGE, Row
 
 FORM = '.2f'
 NAMES = (*protocol.PAPER_CATEGORIES, AVERAGE)
@@ -51,47 +50,43 @@ PUBLISHED = {
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   protocol.define_flags(f)
   flags.DEFINE_list(
     'methods',
     [*PUBLISHED['psnr_rgb']],
-    "Which; also blended_release, by the authors' recipe.",
+    'Methods to evaluate; blended_release, blended_mixed and blended_surface are further ones.',
     flag_values=f,
   )
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the tables as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_tables(protocol.read_flags(f), f.methods)
 
 
 def make_tables(plan: Plan, methods: Sequence[str]) -> None:
-  """Evaluates the methods, prints and writes.
+  """Evaluates the methods, prints and writes the tables.
 
   Args:
-    plan: how.
+    plan: how networks are trained and evaluated.
     methods: keys of `protocol.METHODS`.
   """
-  results = {m: tables.evaluate(plan, m) for m in methods}
-  table = {}
+  found = {m: results.evaluate(plan, m) for m in methods}
+  parts = {}
   for metric, published in PUBLISHED.items():
     rows = {
-      m: Row(protocol.METHODS[m].title, tables.select(r, metric), published.get(m, {}))
-      for m, r in results.items()
+      m: Row(protocol.METHODS[m].title, results.select(r, metric), published.get(m, {}))
+      for m, r in found.items()
     }
     if OURS in rows:
-      trivial = tables.select(results[OURS], metric, who='baselines')
+      trivial = results.select(found[OURS], metric, who='baselines')
       rows['mean_color'] = Row('Mean training colour, same shapes', trivial, {})
-    table[metric] = tables.tell(f'Mean surface {METRICS[metric]}, dB', rows, OURS, FORM)
-  tables.finish(plan.workdir, 'psnr', table, [r for found in results.values() for r in found])
+    parts[metric] = results.tabulate(rows, OURS)
+    print(f'\n{tables.methods_table(parts[metric], FORM, f"Mean surface {METRICS[metric]}, dB")}')
+  results.write(
+    plan.workdir, 'psnr', [r for some in found.values() for r in some], {'parts': parts}
+  )
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

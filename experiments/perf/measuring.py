@@ -34,6 +34,7 @@ from cvn.ops import compile as compiling
 from cvn.ops import dispatch, native
 from cvn.recipe import PAPER
 from experiments import train as program
+from experiments.lib import fit
 from experiments.perf import layers
 
 SURFACE_VOXELS = 8192  # a generous chair; the median of our data sets is 6000
@@ -92,7 +93,7 @@ def alone(function: Callable, *args, programs: str | None = None) -> Any:
 
 def _call(function, *args):
   environment.keep_memory()
-  with program.out_of_memory_is_a_user_error():
+  with fit.out_of_memory_is_a_user_error():
     return function(*args)
 
 
@@ -183,7 +184,7 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
   program.check_sizes(dataset)
   rows, read = data.select_rows(dataset, 'train'), READERS[kind]
   batches = data.training_batches(read, dataset, rows, batch_size=batch_size, seed=0)
-  put_batch, put_state = program.make_placement(batch_size)
+  put_batch, put_state = fit.make_placement(batch_size)
   network = NETWORKS[kind](mixed=mixed)
   state = put_state(train.create_state(jax.random.key(0), network))
   step = train.make_step(network, OBJECTIVES[kind], PAPER)

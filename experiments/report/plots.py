@@ -1,11 +1,6 @@
-"""The report's plots, as SVG for pages and as PNG for everything else.
+"""The report's charts."""
 
-In a page they take its font and its colour of text, so that they suit light and dark ones.
-"""
-
-import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 
 import matplotlib
@@ -13,29 +8,12 @@ import matplotlib.figure
 import numpy as np
 
 from experiments.lib import protocol
+from experiments.lib.charts import GRID, INK, STYLE, to_picture
 from experiments.lib.evaluation import ALPHAS
-from experiments.lib.tables import Comparison
-from experiments.report.blocks import Picture
-from experiments.report.results import Line, Lines, Training
-from experiments.report.tables import mean_over_models
+from experiments.lib.page import Picture
+from experiments.lib.results import Comparison, Line, Table, mean_over_models
+from experiments.report.read import Training
 
-INK = '#222222'  # becomes the page's colour of text
-_RC = {
-  'svg.fonttype': 'none',  # text stays text
-  'svg.hashsalt': 'cvn',  # the same plot has the same bytes
-  'font.size': 9,
-  'axes.titlesize': 9.5,
-  'text.color': INK,
-  'axes.labelcolor': INK,
-  'axes.edgecolor': INK,
-  'xtick.color': INK,
-  'ytick.color': INK,
-  'axes.spines.top': False,
-  'axes.spines.right': False,
-  'axes.axisbelow': True,
-  'legend.frameon': False,
-}
-_DPI = 144
 _COLORS = {
   'r2n2': '#8b8b8b',
   'cross_entropy': '#e0893a',
@@ -51,45 +29,29 @@ _COLORS = {
     )
   ),
 }
-LONG = 40  # characters: names of that length stand in one column
+TITLES = {'iou': 'IoU'}  # of metrics
+LONG = 40  # characters: longer names stand in a single column
 _BY_TITLE = {protocol.METHODS[m].title: c for m, c in _COLORS.items()}
 _SERIES = ('#2f6fb5', '#e0893a', '#55a06c', '#9a6fb5', '#c2504a', '#7a7a7a', '#b59a2f')
 _OTHERS = ('#3d9a9a', '#b5567a', '#7a7a3a')
 
 
-def to_picture(figure: matplotlib.figure.Figure, name: str, caption: str) -> Picture:
-  """Both forms of a plot."""
-  with matplotlib.rc_context(_RC):
-    svg, png = io.StringIO(), io.BytesIO()
-    figure.savefig(svg, format='svg', transparent=True, metadata={'Date': None})
-    figure.savefig(png, format='png', dpi=_DPI, metadata={'Software': None})
-  text = svg.getvalue()
-  text = text[text.index('<svg') :].replace(INK, 'currentColor')
-  # Names are the page's, and several plots have the same ones.
-  text = re.sub(r'(\bid="|url\(#|href="#)', rf'\g<1>{name}-', text)
-  text = re.sub(r' xmlns(:xlink)?="[^"]*"', '', text).replace('xlink:href', 'href')
-  # Its style would be the whole page's: experiments.report.style has it instead.
-  text = re.sub(r'<(metadata|style).*?</\1>', '', text, flags=re.DOTALL)
-  text = re.sub(r'font: ([\d.]+)px [^;"]+', r'font-size: \1px', text)
-  return Picture(name, png.getvalue(), caption, text)
-
-
-def bars(panels: Mapping[str, Lines], name: str, unit: str, caption: str) -> Picture:
-  """Bars of each method by category, whiskers of a standard error, diamonds for the paper's.
+def bars(panels: Mapping[str, Sequence[Line]], name: str, unit: str, caption: str) -> Picture:
+  """Bars for each method by category, whiskers of one standard error, diamonds for the paper's.
 
   Args:
-    panels: methods, by what stands above each panel.
+    panels: methods by the title of the panel.
     name: of the picture.
-    unit: what the bars measure.
+    unit: of the bars.
     caption: below the picture.
   """
-  wide = max(len(r.categories) for lines in panels.values() for r in lines.rows) > 1
+  wide = max(len(line.categories) for lines in panels.values() for line in lines) > 1
   rows, columns = (len(panels), 1) if wide else (1, len(panels))
-  with matplotlib.rc_context(_RC):
+  with matplotlib.rc_context(STYLE):
     figure = matplotlib.figure.Figure(figsize=(9, 2.4 * rows + 0.7), layout='constrained')
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (title, lines) in zip(all_axes, panels.items(), strict=True):
-      _draw_bars(axes, lines.rows)
+      _draw_bars(axes, lines)
       axes.set_title(title, loc='left')
       axes.set_ylabel(unit)
     handles, labels = all_axes[0].get_legend_handles_labels()
@@ -120,17 +82,17 @@ def _draw_bars(axes, rows: Sequence[Line]) -> None:
     axes.plot(at, published, 'D', label=label, linestyle='none', **diamond)
   axes.set_xticks(range(len(names)), names)
   axes.tick_params('x', length=0)
-  axes.grid(axis='y', alpha=0.18, color=INK, linewidth=0.6)
+  axes.grid(axis='y', **GRID)
   axes.set_xlim(-0.5, len(names) - 0.5)
 
 
 def differences(
   panels: Mapping[str, Mapping[str, Sequence[Comparison]]], name: str, caption: str
 ) -> Picture:
-  """How much a method is above others: a panel a measure, a line another method.
+  """How far a method is above others: a panel for each measure, a line for each other method.
 
   Args:
-    panels: comparisons by series and by what stands below the panel.
+    panels: comparisons by series, by the title of the panel.
     name: of the picture.
     caption: below it.
   """
@@ -139,7 +101,7 @@ def differences(
   height = 0.19 * max(sum(max(len(p), 2) for p in found.values()) for found in places.values())
   columns = 1 if max(map(len, series)) > LONG else 3
   legend = 0.2 * -(-len(series) // columns) * (len(series) > 1)
-  with matplotlib.rc_context(_RC):
+  with matplotlib.rc_context(STYLE):
     size = (9, 1 + height + legend)
     figure = matplotlib.figure.Figure(figsize=size, layout='constrained')
     all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -159,7 +121,7 @@ def differences(
       axes.set_title(title.replace(': ', ':\n', 1), loc='left')
       axes.tick_params('y', length=0)
       axes.spines['left'].set_visible(False)
-      axes.grid(axis='x', alpha=0.18, color=INK, linewidth=0.6)
+      axes.grid(axis='x', **GRID)
     if len(series) > 1:
       found = [a.get_legend_handles_labels() for a in all_axes]
       handles = {label: h for hs, labels in found for h, label in zip(hs, labels, strict=True)}
@@ -169,7 +131,7 @@ def differences(
 
 
 def _places(by_series):
-  """How far from its method's line each series stands, by method and series."""
+  """The offset of each series from the line of its method."""
   found: dict[str, list[str]] = {}
   for label, comparisons in by_series.items():
     for c in comparisons:
@@ -180,54 +142,75 @@ def _places(by_series):
   }
 
 
-def ablation(parts: Mapping[str, Lines], name: str, caption: str) -> Picture:
-  """What each step brings on val and test, a panel a metric."""
+def ablation(parts: Mapping[str, Table], name: str, caption: str) -> Picture:
+  """The means after each step on val and test, one panel for each metric."""
   metrics = {'iou': 'IoU', 'psnr_rgb': 'surface PSNR RGB, dB'}
-  with matplotlib.rc_context(_RC):
+  with matplotlib.rc_context(STYLE):
     figure = matplotlib.figure.Figure(figsize=(9, 2.5), layout='constrained')
     all_axes = figure.subplots(1, len(metrics), sharey=True)
     for axes, (metric, title) in zip(all_axes, metrics.items(), strict=True):
       for split, color in (('val', '#e0893a'), ('test', '#2f6fb5')):
-        rows = parts[f'{split} {metric}'].rows
+        rows = parts[f'{split} {metric}'].lines
         values = [mean_over_models(row) for row in rows]
         axes.plot(values, range(len(rows)), 'o-', color=color, markersize=4, lw=1.2, label=split)
       axes.set_xlabel(title)
-      axes.grid(alpha=0.18, color=INK, linewidth=0.6)
+      axes.grid(**GRID)
     all_axes[0].set_yticks(range(len(rows)), [row.title for row in rows])
     all_axes[0].invert_yaxis()
     all_axes[0].legend(loc='best')
     return to_picture(figure, name, caption)
 
 
-def training_curves(trainings: Sequence[Training], name: str, caption: str) -> Picture:
-  """Loss in training (lines) and on val (dots), a panel a kind of training, a colour a network."""
+def training_curves(
+  trainings: Sequence[Training], name: str, caption: str, *, metrics: Sequence[str] = ('loss',)
+) -> Picture:
+  """Metrics in training (lines) and on val (dots), a colour for each network.
+
+  Args:
+    trainings: all trainings of a kind share panels.
+    name: of the picture.
+    caption: below it.
+    metrics: with a panel for each kind of training that has it.
+  """
   kinds = list(dict.fromkeys(t.training for t in trainings))
   kinds.sort(key=[*protocol.TRAININGS, *kinds].index)
-  columns = min(3, len(kinds))
-  rows = -(-len(kinds) // columns)
-  with matplotlib.rc_context(_RC):
+  curves = {
+    (kind, metric): [_curves(t, metric) for t in trainings if t.training == kind]
+    for kind in kinds
+    for metric in metrics
+  }
+  curves = {panel: found for panel, found in curves.items() if any(a or b for _, a, b in found)}
+  columns = min(3, len(curves))
+  rows = -(-len(curves) // columns)
+  labels = list(dict.fromkeys(_label(t) for t in trainings))
+  with matplotlib.rc_context(STYLE):
     figure = matplotlib.figure.Figure(figsize=(9, 2.1 * rows + 0.3), layout='constrained')
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in all_axes[len(kinds) :]:
+    for axes in all_axes[len(curves) :]:
       axes.set_axis_off()
-    labels = list(dict.fromkeys(_label(t) for t in trainings))
-    for axes, kind in zip(all_axes, kinds, strict=False):
-      for t in (t for t in trainings if t.training == kind):
-        color = f'C{labels.index(_label(t)) % 10}'
-        if t.loss:
-          samples, loss = np.array(t.loss).T
-          axes.plot(samples / 1000, loss, color=color, linewidth=1, label=_label(t))
-        held_out = [(n / 1000, v['loss']) for n, v in t.validation if 'loss' in v]
+    for axes, ((kind, metric), found) in zip(all_axes, curves.items(), strict=False):
+      for label, logged, held_out in found:
+        color = f'C{labels.index(label) % 10}'
+        if logged:
+          axes.plot(*zip(*logged, strict=True), color=color, linewidth=1, label=label)
         if held_out:
           axes.plot(*zip(*held_out, strict=True), 'o', color=color, markersize=3.5)
-      axes.set_title(kind.replace('_', ' '), loc='left')
+      axes.set_title(f'{kind.replace("_", " ")}: {TITLES.get(metric, metric)}', loc='left')
       axes.set_ylim(bottom=0)
-      axes.grid(alpha=0.18, color=INK, linewidth=0.6)
-    for axes in all_axes[max(0, len(kinds) - columns) : len(kinds)]:
+      axes.grid(**GRID)
+    for axes in all_axes[max(0, len(curves) - columns) : len(curves)]:
       axes.set_xlabel('thousand views seen')
     if len(labels) > 1:
       all_axes[0].legend(fontsize=8)
     return to_picture(figure, name, caption)
+
+
+def _curves(t: Training, metric: str):
+  """(label, points in training, points on val), in thousand views."""
+  points = [
+    [(n / 1000, v[metric]) for n, v in lines if metric in v] for lines in (t.logged, t.validation)
+  ]
+  return _label(t), *points
 
 
 def _label(t: Training) -> str:

@@ -3,73 +3,88 @@ r"""The paper's user study as a page: which of two methods' coloured 3D models d
 python -m experiments.study --data=DIR --workdir=DIR [--ours=blended_0.2]
   [--against=regression,flow] [--shapes=5] [--study_seed=0] [--output=DIR] [...]
 
-Of each category random test models are taken, 5 where there are as many, and of each a random view.
-Every method makes a model of it, and subjects choose between ours and each of the others. In the
-folder --output:
+The program takes up to 5 random test models of each category and a random view of each. Every
+method makes a model of the view, and subjects choose between ours and each of the others. The
+folder --output gets
 
-  study.html   the page, all in one file: hand it to the subjects; it works without a network
-  key.json     which result is whose; for experiments.study.chart, not for the subjects
+  study.html   the page in one file: hand it to the subjects; it works offline
+  key.json     which result belongs to which method; for experiments.study.chart, not for subjects
 
-Each subject sees the pairs in an order and on sides of their own. The answers are a file that the
-page saves.
+Each subject sees the pairs in another order and on other sides. The page saves the answers as a
+file.
 """
 
-import io
-import json
-import math
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from absl import flags
-from PIL import Image
 from tqdm import tqdm
 
-from cvn import environment, errors, figures
+from cvn import infer
+from cvn.dataset import open_dataset
 from cvn.files import atomic_write
 from cvn.grid import ColoredVoxels
-from experiments.lib import picks, protocol
+from experiments.lib import cli, picks, pictures, protocol, runs, stages
 from experiments.lib.assets import to_png
 from experiments.lib.picks import Pick
+from experiments.lib.pictures import COLORED, Shown
 from experiments.lib.protocol import Plan
-from experiments.lib.stages import argv
-from experiments.study import page, shapes
-from experiments.study.page import Pair, Sheet, Study
+from experiments.study import page, turntables
+from experiments.study.page import Pair, Study
 
-FRAMES = 32  # pictures of a turn; a multiple of 4, for the four sides
-COLUMNS = 8
-QUALITY = 88  # of WebP: the page has some 2,000 pictures in 15 MB
-GREY = (246, 246, 246)  # behind the object: about the views', and one that WebP keeps
-MARGIN = 8  # pixels around the object
+
+class Results(NamedTuple):
+  """The methods' models of a view."""
+
+  pick: Pick
+  shown: Shown
+  voxels: dict[str, ColoredVoxels]  # by method
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   protocol.define_flags(f)
-  shapes.define_flags(f)
   own = {'flag_values': f}
+  known = ', '.join(COLORED)
+  flags.DEFINE_enum('ours', 'blended_0.2', COLORED, 'Method in every pair.', **own)
+  flags.DEFINE_list(
+    'against', ['regression', 'flow'], f'Methods to compare with it, of {known}.', **own
+  )
+  flags.DEFINE_integer('shapes', 5, 'Maximum number of models of each category.', 1, **own)
+  flags.DEFINE_integer('study_seed', 0, 'Seed of the choice of models and views.', 0, **own)
   flags.DEFINE_integer(
     'size',
     420,
-    'Pixels of the pictures before what is empty in all of them is cut away.',
-    lower_bound=32,
-    upper_bound=1024,
+    'Size of the pictures in pixels, before empty margins are cut off.',
+    32,
+    1024,
     **own,
   )
-  flags.DEFINE_string('output', None, 'A folder; user_study in --workdir by default.', **own)
+  flags.DEFINE_string('output', None, 'A folder; WORKDIR/user_study by default.', **own)
+  flags.register_validator(
+    'against',
+    lambda names: bool(names) and len({*names}) == len(names) and {*names} <= {*COLORED},
+    f'must be different ones of {known}',
+    f,
+  )
+  flags.register_multi_flags_validator(
+    ['ours', 'against'],
+    lambda v: v['ours'] not in v['against'],
+    '--against must not name the method of --ours',
+    f,
+  )
+  flags.register_validator('seeds', lambda s: len(s) == 1, 'must be one: that of the networks', f)
 
 
-def main(_) -> int:
-  return run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> int:
-  """Makes the page as the flags say; returns the exit status."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   plan = protocol.read_flags(f)
-  shown = shapes.choose(plan, shapes=f.shapes, seed=f.study_seed)
+  chosen = {'seed': f.study_seed, 'per_category': f.shapes}
+  shown = pictures.choose(plan, open_dataset(plan.data), **chosen)
   output = f.output or os.path.join(plan.workdir, 'user_study')
   make_study(plan, shown, f.ours, f.against, seed=f.study_seed, size=f.size, output=output)
-  return 0
 
 
 def make_study(
@@ -87,35 +102,44 @@ def make_study(
   Args:
     plan: how networks are trained.
     shown: the test models and their views.
-    ours: the method that is in every pair.
+    ours: the method in every pair.
     against: the methods it is compared with.
     seed: of names and of the order of pairs.
-    size: pixels of pictures before the cut.
+    size: of the pictures in pixels, before the margins are cut off.
     output: the folder.
   """
-  count = shapes.describe(shown)
+  counts = Counter(p.model.category for p in shown)
+  count = f'{len(shown)} shapes: {", ".join(f"{n} {c}" for c, n in counts.items())}'
   print(f'{count}; seed {seed}')
   methods = [ours, *against]
   rng = np.random.default_rng(seed)
   names = [f'r{n:03d}' for n in rng.permutation(len(shown) * len(methods))]
   views, sheets, key, order = [], {}, {}, []
   progress = tqdm(shown, desc='draw', unit='shape', disable=None)
-  for n, results in enumerate(shapes.reconstruct(plan, shown, methods)):
+  for n, results in enumerate(reconstruct(plan, shown, methods)):
     order.append(results.pick)
-    views.append(to_png(crop_to_object(results.record.views[results.pick.view])))
-    made = draw_turntables(list(results.voxels.values()), results.pick.azimuth, size)
+    views.append(to_png(turntables.crop_to_object(results.shown.view)))
+    made = turntables.draw(list(results.voxels.values()), results.pick.azimuth, size)
     for method, sheet in zip(methods, made, strict=True):
       name = names[len(sheets)]
       sheets[name] = sheet
       key[name] = {'shape': n, 'method': method}
     progress.update()
   progress.close()
-  about = f'{count}, chosen with seed {seed}.'
   pairs = make_pairs(key, ours, rng)
-  sheets = dict(sorted(sheets.items()))
-  study = Study(about, tuple(views), sheets, FRAMES, COLUMNS, pairs)
+  study = Study(
+    f'{count}, chosen with seed {seed}.',
+    tuple(views),
+    dict(sorted(sheets.items())),
+    turntables.FRAMES,
+    turntables.COLUMNS,
+    pairs,
+  )
+  path = os.path.join(output, 'study.html')
+  with atomic_write(path) as temporary, open(temporary, 'w', encoding='utf-8') as out:
+    out.write(page.render(study))
+  found = pictures.find_runs(plan, shown, methods)
   report = {
-    'argv': argv(),
     'page': page.identify(study),
     'study_seed': seed,
     'ours': ours,
@@ -123,23 +147,31 @@ def make_study(
     'shapes': [picks.to_json(p) for p in order],
     'results': dict(sorted(key.items())),
     'pairs': {name: pair.sheets for name, pair in pairs.items()},
+    'data': plan.data,
+    'runs': runs.to_json(run for own in found.values() for run in own.values()),
   }
-  report |= shapes.describe_networks(plan, shown, methods)
-  path = os.path.join(output, 'study.html')
-  with atomic_write(path) as temporary, open(temporary, 'w', encoding='utf-8') as out:
-    out.write(page.render(study))
-  with atomic_write(os.path.join(output, 'key.json')) as temporary, open(temporary, 'w') as out:
-    json.dump(report, out, indent=1)
+  stages.write_results(os.path.join(output, 'key.json'), report)
   print(f'{len(pairs)} pairs, {os.path.getsize(path) / 1e6:.1f} MB: {path}')
-  print(f"which is whose, not for the subjects' eyes: {os.path.join(output, 'key.json')}")
+  print(f'key of the results, not for subjects: {os.path.join(output, "key.json")}')
+
+
+def reconstruct(plan: Plan, shown: Sequence[Pick], methods: Sequence[str]) -> Iterator[Results]:
+  """Every method's model of each view; trains networks that are missing."""
+  dataset = open_dataset(plan.data)
+  for trained, judged in protocol.trained_for(plan, picks.categories_of(shown)):
+    predictors = {m: protocol.make_predictor(plan, m, trained, plan.seeds[0]) for m in methods}
+    for pick in (p for p in shown if p.model.category in judged):
+      known = pictures.read(dataset, pick)
+      found = {m: predict(known.view[None])[0] for m, predict in predictors.items()}
+      yield Results(pick, known, {m: infer.to_voxels(x) for m, x in found.items()})
 
 
 def make_pairs(key: dict[str, dict], ours: str, rng: np.random.Generator) -> dict[str, Pair]:
-  """Every shape's result of ours with that of each other method, in random order.
+  """Pairs of our result and each other method's result for the same shape, in random order.
 
   Args:
     key: {result: {'shape': number, 'method': method}}.
-    ours: the method that is in every pair.
+    ours: the method in every pair.
     rng: of the order.
   """
   own = {k['shape']: name for name, k in key.items() if k['method'] == ours}
@@ -151,67 +183,5 @@ def make_pairs(key: dict[str, dict], ours: str, rng: np.random.Generator) -> dic
   return {f'p{n:03d}': found[i] for n, i in enumerate(rng.permutation(len(found)))}
 
 
-def crop_to_object(view: np.ndarray) -> np.ndarray:
-  """The square around the object in a view: uint8 [H, W, 4] -> [S, S, 3] on `GREY`."""
-  rows, columns = np.nonzero(view[..., 3]) if view[..., 3].any() else np.indices(view.shape[:2])
-  low = np.array([rows.min(), columns.min()])
-  high = np.array([rows.max(), columns.max()]) + 1
-  side = int((high - low).max()) + 2 * MARGIN
-  top, left = (low + high - side) // 2 + side  # in the padded picture
-  around = ((side, side), (side, side), (0, 0))
-  padded = np.pad(figures.over(view, background=GREY), around, constant_values=GREY[0])
-  return padded[top : top + side, left : left + side]
-
-
-def draw_turntables(results: list[ColoredVoxels], azimuth: float, size: int) -> list[Sheet]:
-  """Pictures from all around, the first from `azimuth`; all are cut to one frame.
-
-  Args:
-    results: of one shape.
-    azimuth: degrees.
-    size: pixels before the cut.
-  """
-  turn = [
-    np.stack(
-      [
-        figures.draw_voxels(r, azimuth + 360 * n / FRAMES, size=size, background=GREY)
-        for n in range(FRAMES)
-      ]
-    )
-    for r in results
-  ]
-  rows, columns = common_frame(turn)
-  return [_make_sheet(frames[:, rows, columns]) for frames in turn]
-
-
-def common_frame(turns: list[np.ndarray]) -> tuple[slice, slice]:
-  """Rows and columns that hold all that is drawn, the axis of the turn in the middle.
-
-  Args:
-    turns: of uint8 pictures [F, S, S, 3] on `GREY`.
-  """
-  size = turns[0].shape[1]
-  drawn = np.any([(t != GREY).any((0, 3)) for t in turns], axis=0)
-  if not drawn.any():
-    return slice(0, size), slice(0, size)
-  rows, columns = (np.flatnonzero(drawn.any(axis)) for axis in (1, 0))
-  half = max(size / 2 - columns[0], columns[-1] + 1 - size / 2)
-  left = max(0, math.floor(size / 2 - half) - MARGIN)
-  top, bottom = max(0, rows[0] - MARGIN), min(size, rows[-1] + 1 + MARGIN)
-  return slice(int(top), int(bottom)), slice(left, size - left)
-
-
-def _make_sheet(frames: np.ndarray) -> Sheet:
-  """[F, H, W, 3] as one image."""
-  height, width = frames.shape[1:3]
-  lines = frames.reshape(-1, COLUMNS, height, width, 3).swapaxes(1, 2)
-  file = io.BytesIO()
-  image = Image.fromarray(lines.reshape(-1, COLUMNS * width, 3))
-  image.save(file, 'webp', quality=QUALITY, method=4)
-  return Sheet(file.getvalue(), width, height)
-
-
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

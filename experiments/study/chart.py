@@ -1,13 +1,13 @@
-r"""Turns the answers of a user study into the paper's bar chart, with confidence intervals.
+r"""Turns the answers of a user study into the paper's bar chart with confidence intervals.
 
 python -m experiments.study.chart --results=FILE[,FILE...] --study=DIR [--output=DIR]
 
---results names the files that the page saved, one a subject, or a folder: of it, all files named
-answers_*.json. --study is the folder of experiments.study that the page comes from: its
-key.json says which result is whose.
+--results names the files that the page saved, one for each subject, or a folder of files
+answers_*.json. --study is the folder of experiments.study that the page comes from; its key.json
+says which result belongs to which method.
 
-Writes preferences.png and preferences.json to --output, the study's folder by default. A file of
-another page, a damaged one, or a second one of the same subject ends the program.
+The program writes preferences.png and preferences.json to --output, the study's folder by default.
+A damaged file, a file of another page, or a second file of the same subject is an error.
 """
 
 import glob
@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from cvn import errors
 from cvn.errors import UserError
-from experiments.lib.stages import read_bytes, read_json
+from cvn.files import atomic_write
+from experiments.lib import cli
+from experiments.lib.stages import read_bytes, read_json, write_results
 from experiments.study import preferences
 from experiments.study.page import ANSWERS_FORMAT, SUBJECT
 
@@ -30,58 +31,68 @@ KEY_ENTRIES = ('page', 'ours', 'titles', 'shapes', 'results', 'pairs')
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
   flags.DEFINE_list('results', None, 'Files that the page saved, or folders of them.', **own)
-  flags.DEFINE_string('study', None, 'The folder that experiments.study made.', **own)
+  flags.DEFINE_string('study', None, 'Folder of experiments.study.', **own)
   flags.DEFINE_string('output', None, 'A folder; that of --study by default.', **own)
   flags.mark_flags_as_required(['results', 'study'], f)
 
 
-def main(_) -> int:
-  return run(flags.FLAGS)
+@cli.program(define_flags, computes=False)
+def main(f: flags.FlagValues) -> None:
+  make_chart(f.results, f.study, f.output or f.study)
 
 
-def run(f: flags.FlagValues) -> int:
-  """Counts the answers and draws them; returns the exit status."""
-  key = read_key(f.study)
+def make_chart(results: Sequence[str], study: str, output: str) -> None:
+  """Counts the answers, prints, draws and writes the shares.
+
+  Args:
+    results: files of answers, or folders of them.
+    study: the folder of experiments.study.
+    output: the folder of the chart.
+
+  Raises:
+    UserError: a file must not count; see the module's docstring.
+  """
+  key = read_key(study)
   by_subject, files = {}, {}
-  for path in find_files(f.results):
+  for path in find_files(results):
     subject, answers = read_answers(path, key)
     if subject in files:
       raise UserError(f'{path} and {files[subject]} are of the same subject {subject}: keep one')
     by_subject[subject], files[subject] = answers, path
   answers = [a for some in by_subject.values() for a in some]
-  choices = [to_choice(a, key) for a in answers]
   others = [m for m in key['titles'] if m != key['ours']]
   names = list(dict.fromkeys(s['category'] for s in key['shapes']))
-  table = preferences.tabulate(choices, others, names)
+  table = preferences.tabulate([to_choice(a, key) for a in answers], others, names)
   left = preferences.share(sum(a['choice'] == a['left'] for a in answers), len(answers))
   seconds = float(np.median([a['milliseconds'] for a in answers])) / 1000
   count = f'{len(by_subject)} subject{"s" * (len(by_subject) > 1)}, {len(answers)} choices'
-  heading = f'{key["titles"][key["ours"]]} preferred'
-  print(preferences.format_table(table, key['titles'], heading))
+  print(preferences.to_markdown(table, key['titles'], key['ours']))
   print(
-    f'{count}, {seconds:.1f} s each in the median; the left one was taken in'
-    f' {100 * left.share:.0f} % (95 % interval {100 * left.low:.0f} to {100 * left.high:.0f} %)'
+    f'\n{count}, median {seconds:.1f} s each; the left one was chosen in {100 * left.share:.0f} %'
+    f' (95 % interval {100 * left.low:.0f} to {100 * left.high:.0f} %)'
   )
   report = {
     'page': key['page'],
     'subjects': sorted(by_subject),
     'ours': key['ours'],
     'titles': key['titles'],
-    'preferences': preferences.to_json(table),
-    'left_taken': left._asdict(),
+    'preferences': table,
+    'left_taken': left,
     'median_seconds': seconds,
   }
-  note = f'{count}; whiskers: 95 % (Wilson), choices taken as independent'
-  chart = preferences.draw({'User study': table}, key['titles'], key['ours'], note=note)
-  preferences.write(f.output or f.study, 'preferences', report, chart)
-  return 0
+  note = f'{count}; whiskers: 95 % (Wilson), choices treated as independent'
+  chart = preferences.draw(table, key['titles'], key['ours'], note=note)
+  stem = os.path.join(output, 'preferences')
+  write_results(f'{stem}.json', report)
+  with atomic_write(f'{stem}.png') as temporary:
+    chart.savefig(temporary, dpi=150, metadata={'Software': None})
+  print(f'{stem}.png, {stem}.json')
 
 
 def read_key(study: str) -> dict[str, Any]:
-  """Which result is whose.
+  """Which result belongs to which method.
 
   Raises:
     UserError: the folder holds no study.
@@ -91,12 +102,12 @@ def read_key(study: str) -> dict[str, Any]:
     raise UserError(f'{study} has no key.json: name a folder that experiments.study made')
   key = read_json(path)
   if not (isinstance(key, dict) and all(k in key for k in KEY_ENTRIES)):
-    raise UserError(f'{path} is no key of a study: make the study again')
+    raise UserError(f'{path} is not the key of a study: make the study again')
   return key
 
 
 def find_files(names: Sequence[str]) -> list[str]:
-  """Files, and what the page saved in folders.
+  """The files, and the files of answers in the folders.
 
   Raises:
     UserError: a folder holds none.
@@ -113,24 +124,24 @@ def find_files(names: Sequence[str]) -> list[str]:
 
 
 def read_answers(path: str, key: dict[str, Any]) -> tuple[str, list[dict[str, Any]]]:
-  """A subject, and one answer to each pair.
+  """A subject, and one answer for each pair.
 
   Raises:
-    UserError: they are no answers, damaged, or those to another page.
+    UserError: the file is damaged, of another page, or not a file of answers.
   """
   try:
     found = json.loads(read_bytes(path))
   except ValueError as e:
-    raise UserError(f'{path} is damaged or no file that the page saved: leave it out') from e
+    raise UserError(f'{path} is damaged or was not saved by the page: leave it out') from e
   if not isinstance(found, dict) or found.get('format') != ANSWERS_FORMAT:
-    raise UserError(f'{path} is no file of answers of format {ANSWERS_FORMAT}: leave it out')
+    raise UserError(f'{path} is not a file of answers of format {ANSWERS_FORMAT}: leave it out')
   if found.get('page') != key['page']:
     raise UserError(
       f'{path} is of page {found.get("page")}, --study is page {key["page"]}: leave it out'
     )
   subject, answers = found.get('subject'), found.get('answers')
   if not isinstance(subject, str) or not re.fullmatch(SUBJECT, subject):
-    raise UserError(f'{path} is damaged: {subject!r} is no subject')
+    raise UserError(f'{path} is damaged: {subject!r} is not a subject')
   answers = answers if isinstance(answers, list) else []
   by_pair = {a['pair']: a for a in answers if isinstance(a, dict) and is_answer(a, key['pairs'])}
   wrong = len(answers) - len(by_pair)
@@ -158,7 +169,7 @@ def is_answer(answer: dict[str, Any], pairs: dict[str, Sequence[str]]) -> bool:
 
 
 def to_choice(answer: dict[str, Any], key: dict[str, Any]) -> preferences.Choice:
-  """What an answer says of methods."""
+  """An answer as a choice between methods."""
   methods = {key['results'][answer[side]]['method']: side for side in ('left', 'right')}
   (other,) = methods.keys() - {key['ours']}
   shape = key['shapes'][key['results'][answer['left']]['shape']]
@@ -168,5 +179,4 @@ def to_choice(answer: dict[str, Any], key: dict[str, Any]) -> preferences.Choice
 
 
 if __name__ == '__main__':
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

@@ -1,10 +1,10 @@
-"""The user study's page: one HTML file that needs nothing beside it, and no network.
+"""The user study's page: one HTML file that works offline.
 
-A result is a sheet of pictures from all around, which the page turns. Sheets and pairs have names
-that tell nothing of the methods: which is which stands in a file that the subjects never see.
+A result is a sheet of pictures from all around, which the page turns. The names of sheets and pairs
+do not reveal the methods; the key is in a file that the subjects never see.
 
-Order and sides of the pairs are drawn in the browser, anew for each subject, from a seed that is
-saved with the answers. They look like this, one file a subject:
+The browser draws the order and the sides of the pairs for each subject from a seed, which is saved
+with the answers. The answers of a subject are a file of this form:
 
   {"format": 1, "page": ..., "subject": ..., "seed": ..., "started": ..., "finished": ...,
    "answers": [{"pair": ..., "left": sheet, "right": sheet, "choice": sheet, "milliseconds": ...}]}
@@ -19,7 +19,7 @@ from typing import NamedTuple
 from experiments.lib import assets
 
 ANSWERS_FORMAT = 1
-SUBJECT = r'[A-Za-z0-9_\-]{1,40}'  # a regular expression, of JavaScript and Python alike
+SUBJECT = r'[A-Za-z0-9_\-]{1,40}'  # a regular expression for JavaScript and Python
 
 
 class Sheet(NamedTuple):
@@ -38,7 +38,7 @@ class Pair(NamedTuple):
 
 
 class Study(NamedTuple):
-  """All that the page shows."""
+  """The content of the page."""
 
   about: str
   pictures: tuple[bytes, ...]  # PNG
@@ -49,7 +49,7 @@ class Study(NamedTuple):
 
 
 def identify(study: Study) -> str:
-  """A name of the page, another one for each content."""
+  """A name of the page that depends on its content."""
   return hashlib.sha256(repr(study).encode()).hexdigest()[:12]
 
 

@@ -3,46 +3,40 @@ r"""The paper's Figure "flow_field": the flow of a symmetric object seen from a 
 python -m experiments.paper.figures.flow --data=DIR --workdir=DIR [--category=chair] [--models=all]
   [--epochs=...] [--quick]
 
-Shows the colour code, and on the true surface the target flow and the estimated one with the
-colours that they fetch, from the side that the input shows and, mirrored, from the hidden one:
-where hidden voxels take the colours of their visible counterparts, both look the same. The object
-is the test model whose voxels agree best with their mirror image in x (IoU, to a percent), among
-equals the one with the most hidden voxels whose counterparts are visible. Prints how far the flows
-of those two are apart. Trains what is missing, reuses what is there; the figure goes to
-WORKDIR/figures/flow.png.
+The figure shows the colour code and, on the true surface, the target flow and the estimated flow
+with the colours that they fetch: from the side that the input shows and, mirrored, from the hidden
+side. Both sides look the same where hidden voxels take the colours of their visible counterparts.
+The object is the test model whose voxels agree best with their mirror image in x (IoU, to a
+percent); among equals, the one with the most hidden voxels that have a visible counterpart. The
+program prints the distance between the flows of those pairs. It trains what is missing and reuses
+what is there; the figure goes to WORKDIR/figures/flow.png.
 """
 
-import os
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, environment, errors, figures, infer, metrics, sampler
+from cvn import data, figures, infer, metrics, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.infer import Network
-from experiments.lib import picks, pictures, protocol, scoring
+from experiments.lib import cli, picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
 
 METHOD, TRAINING = 'blended_0.2', 'blended'
-VIEW = 90  # degrees: of the data set's views the nearest to it is the input
+VIEW = 90  # degrees: the input is the view nearest to this azimuth
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'flow')
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f), name=f.name, tile=f.tile)
 
 
@@ -52,7 +46,7 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   Args:
     plan: how networks are trained.
     name: of the files.
-    tile: pixels of each small picture.
+    tile: size of each small picture in pixels.
 
   Raises:
     UserError: there is no finished test model.
@@ -82,34 +76,29 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
     f' from the estimated flow to the target {off:.1f}. {pictures.say_training(found)}'
   )
   print(caption)
-  facts = {
-    'mirror_iou': symmetry,
-    'hidden_voxels': len(hidden),
-    'pixels_to_counterpart': gaps,
-    'pixels_to_target': off,
-    **pictures.describe(plan, [pick], (METHOD,), found),
-  }
+  facts = {'mirror_iou': symmetry, 'hidden_voxels': len(hidden)}
+  facts |= {'pixels_to_counterpart': gaps, 'pixels_to_target': off}
   image = draw(pick, record, flows, grid_size=size, tile=tile)
-  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
+  pictures.write(plan, name, image, caption, [pick], (METHOD,), found, **facts)
 
 
 def choose(dataset: Dataset, rows: Iterable[int], view: int) -> tuple[int, float]:
   """The row of the most symmetric model, and its IoU with its mirror image."""
   size = dataset.manifest.grid_size
 
-  def judge(row):
+  def rank(row):
     record = read_record(dataset, row)
     occupancy = scoring.to_voxels(record, size).occupancy
     symmetry = float(metrics.iou(occupancy, occupancy[::-1]))
     return round(symmetry, 2), len(find_pairs(record, view, size)), row, symmetry
 
   progress = tqdm(rows, desc='symmetry', unit='model', disable=None)
-  *_, row, symmetry = max(map(judge, progress), key=lambda found: found[:2])
+  *_, row, symmetry = max(map(rank, progress), key=lambda found: found[:2])
   return int(row), symmetry
 
 
 def find_pairs(record: Record, view: int, grid_size: int) -> np.ndarray:
-  """Hidden voxels and their visible mirror images: [N, 2] places in the record's surface."""
+  """Hidden voxels and their visible mirror images: [N, 2] indices into the record's surface."""
   number = np.full((grid_size,) * 3, -1)
   number[tuple(record.surface_index.T)] = np.arange(len(record.surface_index))
   mirrored = number[::-1][tuple(record.surface_index.T)]
@@ -119,7 +108,7 @@ def find_pairs(record: Record, view: int, grid_size: int) -> np.ndarray:
 
 
 def distance(flow: np.ndarray, other: np.ndarray) -> float:
-  """The median distance between flows [N, 2]; 0 where there are none."""
+  """The median distance between flows [N, 2]; 0 if there are none."""
   return float(np.median(np.linalg.norm(flow - other, axis=-1))) if len(flow) else 0.0
 
 
@@ -132,7 +121,7 @@ def estimate(network: Network, record: Record, view: int) -> np.ndarray:
 def draw(
   pick: Pick, record: Record, flows: Mapping[str, np.ndarray], *, grid_size: int, tile: int
 ) -> np.ndarray:
-  """The figure: colour code and input, flows [S, 2] and what they fetch from both sides."""
+  """The figure: colour code and input, flows [S, 2] and the colours they fetch, from both sides."""
   view = record.views[pick.view]
   image = view[None, ..., :3].astype(np.float32) / 255
   foreground = view[None, ..., 3] >= 128
@@ -160,6 +149,4 @@ def draw(
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

@@ -1,25 +1,24 @@
-r"""The paper's Figure "res_vis": what the networks make of a view on the way to the result.
+r"""The paper's Figure "res_vis": the volumes between a view and its result.
 
 python -m experiments.paper.figures.intermediate --data=DIR --workdir=DIR [--figure_seed=0]
   [--per_category=1] [--models=all] [--epochs=...] [--quick]
 
-A row a test model, drawn at random: the input, the adapted R2N2's result, flow, sampled colours,
-regressed colours, blending weights, the result from three sides, and the truth. All but the input
-are shown on the voxels that the shape network found. Trains what is missing, reuses what is there;
-the figure goes to WORKDIR/figures/intermediate.png.
+Each row shows a random test model: the input, the adapted R2N2's result, flow, sampled colours,
+regressed colours, blending weights, the result from three sides, and the truth. The volumes are
+shown on the voxels that the shape network found. The program trains what is missing and reuses what
+is there; the figure goes to WORKDIR/figures/intermediate.png.
 """
 
-import os
 from collections.abc import Sequence
 
 import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import environment, errors, figures, infer
+from cvn import figures, infer
 from cvn.dataset import open_dataset
 from cvn.infer import Reconstruction
-from experiments.lib import picks, pictures, protocol
+from experiments.lib import cli, picks, pictures, protocol
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan
 
@@ -38,42 +37,33 @@ TITLES = (
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'intermediate')
   pictures.define_choice_flags(f, per_category=1)
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
+  chosen = {'seed': f.figure_seed, 'per_category': f.per_category}
+  make_figure(protocol.read_flags(f), name=f.name, tile=f.tile, **chosen)
 
 
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
-  plan = protocol.read_flags(f)
-  shown = pictures.choose(
-    plan, open_dataset(plan.data), seed=f.figure_seed, per_category=f.per_category
-  )
-  image = draw(plan, shown, tile=f.tile)
-  found = pictures.find_runs(plan, shown, (BASELINE, METHOD))
+def make_figure(plan: Plan, *, name: str, tile: int, seed: int, per_category: int) -> None:
+  """Draws and writes the figure; arguments as of `pictures.make_random`."""
+  methods = (BASELINE, METHOD)
+  shown = pictures.choose(plan, open_dataset(plan.data), seed=seed, per_category=per_category)
+  image = draw(plan, shown, tile=tile)
+  found = pictures.find_runs(plan, shown, methods)
   caption = (
-    f'{pictures.say_choice(f.figure_seed)} {pictures.say_training(found)} Volumes are seen from'
-    f' {pictures.SIDE}° beside the input view, results also from further round.'
+    f'{pictures.say_choice(seed)} {pictures.say_training(found)} Volumes are seen from'
+    f' {pictures.SIDE}° beside the input view, results also from further angles.'
   )
-  facts = pictures.describe(plan, shown, (BASELINE, METHOD), found)
-  stem = os.path.join(plan.workdir, 'figures', f.name)
-  pictures.write(stem, image, caption, {'figure_seed': f.figure_seed, **facts})
+  pictures.write(plan, name, image, caption, shown, methods, found, figure_seed=seed)
 
 
 def draw(plan: Plan, shown: Sequence[Pick], *, tile: int) -> np.ndarray:
   """The figure: a row for each pick, and the legend; trains and evaluates what is missing."""
-  dataset, seed = open_dataset(plan.data), plan.seeds[0]
-  categories = picks.categories_of(shown)
-  baseline, ours = (
-    pictures.by_category(
-      plan, categories, lambda c, m=method: protocol.make_predictor(plan, m, c, seed)
-    )
-    for method in (BASELINE, METHOD)
-  )
+  dataset, categories = open_dataset(plan.data), picks.categories_of(shown)
+  baseline, ours = (pictures.find_predictors(plan, categories, m) for m in (BASELINE, METHOD))
   rows = []
   for pick in tqdm(shown, desc='draw', unit='model', disable=None):
     known = pictures.read(dataset, pick)
@@ -90,7 +80,7 @@ def draw_row(
   *,
   tile: int,
 ) -> list[np.ndarray]:
-  """The pictures of one pick, as `TITLES` names them."""
+  """The pictures of a pick in the order of `TITLES`."""
   voxels = infer.to_voxels(ours)
   volumes = (
     figures.flow_color_code(ours.flow),
@@ -122,6 +112,4 @@ def draw_legend(size: int) -> np.ndarray:
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

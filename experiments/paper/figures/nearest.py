@@ -3,15 +3,15 @@ r"""The paper's Figure "nn_sampling": colours from the nearest foreground, and f
 python -m experiments.paper.figures.nearest --data=DIR --workdir=DIR [--per_category=1]
   [--models=all] [--epochs=...] [--quick]
 
-Prints, for all views of all test models, the share of reconstructed voxels whose flow points at the
-background, and the surface PSNR of sampled and blended colours with and without the search for the
-nearest foreground. Shown are, of each category, the models with the highest share, each in the view
-where it is highest: the input, colours sampled through the plain flow, from the nearest foreground,
-and the voxels where it points at the background. Trains what is missing, reuses what is there; the
-figure goes to WORKDIR/figures/nearest.png.
+The program prints, over all views of all test models, the share of reconstructed voxels whose flow
+points at the background, and the surface PSNR of sampled and blended colours with and without the
+search for the nearest foreground. The figure shows the models of each category with the highest
+share, each in the view where the share is highest: the input, colours sampled through the plain
+flow and from the nearest foreground, and the voxels whose flow points at the background. The
+program trains what is missing and reuses what is there; the figure goes to
+WORKDIR/figures/nearest.png.
 """
 
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -20,12 +20,12 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import blending, data, environment, errors, figures, metrics, readouts, sampler
+from cvn import blending, data, figures, metrics, readouts, sampler
 from cvn.dataset import Dataset, Record, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
 from cvn.infer import Reconstruction
-from experiments.lib import markdown, picks, pictures, protocol, scoring
+from experiments.lib import cli, markdown, picks, pictures, protocol, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan, Predictor
 
@@ -41,10 +41,10 @@ MEASURES = ('share', 'plain', 'nearest', 'plain_blended', 'nearest_blended')
 
 
 class Sampled(NamedTuple):
-  """A view's reconstruction."""
+  """A view's reconstruction, coloured in several ways."""
 
   occupancy: np.ndarray  # [X, Y, Z] bool
-  background: np.ndarray  # [X, Y, Z] bool, whether the flow points at the background
+  background: np.ndarray  # [X, Y, Z] bool: the flow points at the background
   plain: np.ndarray  # [X, Y, Z, 3] the colours of the pixels that the flow points at
   nearest: np.ndarray  # [X, Y, Z, 3] those of the nearest foreground pixels
   plain_blended: np.ndarray  # [X, Y, Z, 3] blended with the regressed colours
@@ -52,17 +52,12 @@ class Sampled(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   pictures.define_flags(f, 'nearest')
-  flags.DEFINE_integer('per_category', 1, 'Models of each category to show.', 1, flag_values=f)
+  flags.DEFINE_integer('per_category', 1, 'Models to show of each category.', 1, flag_values=f)
 
 
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Makes the figure as the flags say."""
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f), name=f.name, tile=f.tile, per_category=f.per_category)
 
 
@@ -72,7 +67,7 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   Args:
     plan: how networks are trained.
     name: of the files.
-    tile: pixels of each small picture.
+    tile: size of each small picture in pixels.
     per_category: models to show of each category.
 
   Raises:
@@ -85,9 +80,7 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   categories = [dataset.manifest.models[row].category for row in rows]
-  predictors = pictures.by_category(
-    plan, categories, lambda c: protocol.make_predictor(plan, METHOD, c, plan.seeds[0])
-  )
+  predictors = pictures.find_predictors(plan, categories, METHOD)
   measured = []
   for row, category in zip(
     tqdm(rows, desc='sample', unit='model', disable=None), categories, strict=True
@@ -100,14 +93,13 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
   tiles = [draw_row(dataset, p, predictors[p.model.category], tile=tile) for p in shown]
   found = pictures.find_runs(plan, shown, (METHOD,))
   caption = (
-    'In each category the test models with the highest mean share of voxels whose flow points at'
+    'The test models of each category with the highest mean share of voxels whose flow points at'
     ' the background, in the view where it is highest. The share is'
     f' {summary["all"]["share"]:.1%} over all views of all {len(rows)} test models.'
     f' {pictures.say_training(found)}'
   )
-  facts = {'measures': summary, **pictures.describe(plan, shown, (METHOD,), found)}
   image = pictures.arrange(tiles, TITLES, shown)
-  pictures.write(os.path.join(plan.workdir, 'figures', name), image, caption, facts)
+  pictures.write(plan, name, image, caption, shown, (METHOD,), found, measures=summary)
 
 
 def sample(views: np.ndarray, found: Sequence[Reconstruction]) -> list[Sampled]:
@@ -125,7 +117,7 @@ def sample(views: np.ndarray, found: Sequence[Reconstruction]) -> list[Sampled]:
 
 
 def measure_model(record: Record, predict: Predictor, grid_size: int) -> np.ndarray:
-  """The `MEASURES` of all views of a model, [V, 5]: NaN where no voxel is occupied."""
+  """The `MEASURES` of all views of a model, [V, 5]; NaN for views without occupied voxels."""
   true = scoring.to_voxels(record, grid_size)
   rows = []
   for one in sample(record.views, predict(record.views)):
@@ -161,20 +153,20 @@ def to_markdown(summary: Mapping[str, Mapping[str, float]]) -> str:
   lines = []
   for name, means in summary.items():
     share, *psnrs = (means[k] for k in MEASURES)
-    cells = ['-'] * 5 if share is None else [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)]
-    lines.append([name, means['models'], *cells])
-  return markdown.table(head, lines)
+    cells = [f'{share:.1%}', *(f'{x:.3f} dB' for x in psnrs)] if share is not None else []
+    lines.append([name, means['models'], *(cells or [markdown.NONE] * len(MEASURES))])
+  return markdown.numbers(head, lines)
 
 
 def pick_highest(
   dataset: Dataset, rows: Sequence[int], shares: np.ndarray, per_category: int
 ) -> list[Pick]:
-  """The models with the highest mean share in their categories, each in its highest view.
+  """The models with the highest mean share of their category, each in its highest view.
 
   Args:
     dataset: the data set.
     rows: of the models.
-    shares: [models, V], NaN where no voxel is occupied.
+    shares: [models, V], NaN for views without occupied voxels.
     per_category: models of a category.
   """
   shares = np.nan_to_num(shares)
@@ -189,7 +181,7 @@ def pick_highest(
 
 
 def draw_row(dataset: Dataset, pick: Pick, predict: Predictor, *, tile: int) -> list[np.ndarray]:
-  """The pictures of one pick, as `TITLES` names them."""
+  """The pictures of a pick in the order of `TITLES`."""
   shown = pictures.read(dataset, pick)
   (one,) = sample(shown.view[None], predict(shown.view[None]))
   marked = np.where(one.background[..., None], ON_BACKGROUND, ON_FOREGROUND)
@@ -203,6 +195,4 @@ def draw_row(dataset: Dataset, pick: Pick, predict: Predictor, *, tile: int) -> 
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

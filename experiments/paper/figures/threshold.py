@@ -1,11 +1,11 @@
-r"""How the mean IoU depends on the threshold of occupancy: why losses are compared at two of them.
+r"""The mean IoU by the occupancy threshold: why losses are compared at two thresholds.
 
 python -m experiments.paper.figures.threshold --data=DIR --workdir=DIR [--models=all] [--epochs=...]
 
-A cross-entropy over all voxels makes a network less sure of the few occupied ones than MSFCEL does,
-so one fixed threshold favours a loss. The curves are of the split val, on which thresholds are
-chosen; the dashed line is the authors' 0.8. WORKDIR/figures/threshold.png, with the numbers in
-threshold.json.
+A cross-entropy over all voxels makes a network less confident of the few occupied voxels than
+MSFCEL does, so a single fixed threshold favours one loss. The curves are measured on the split val,
+on which thresholds are chosen; the dashed line is the authors' 0.8. The figure goes to
+WORKDIR/figures/threshold.png, the numbers to threshold.json.
 """
 
 import os
@@ -14,28 +14,19 @@ import matplotlib.figure
 from absl import flags
 from tqdm import tqdm
 
-from cvn import data, environment, errors, metrics
+from cvn import data, metrics
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from cvn.readouts import SHAPE_KINDS
-from experiments.lib import differences, pictures, protocol, runs, scoring
+from experiments.lib import cli, differences, protocol, runs, scoring, stages
 from experiments.lib.protocol import Plan
 
 METHODS = ('cross_entropy', 'msfcel')
 
 
-def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
-  protocol.define_flags(f)
-
-
-def main(_) -> None:
-  run(flags.FLAGS)
-
-
-def run(f: flags.FlagValues) -> None:
-  """Draws as the flags say."""
+@cli.program(protocol.define_flags)
+def main(f: flags.FlagValues) -> None:
   make_figure(protocol.read_flags(f))
 
 
@@ -65,7 +56,7 @@ def make_figure(plan: Plan) -> None:
   draw(curves, f'{stem}.png')
   caption = f'Mean IoU on the split val by the threshold. {differences.say_training(used)}'
   facts = {'data': plan.data, 'split': 'val', 'runs': runs.to_json(used), 'curves': curves}
-  pictures.write_facts(stem, caption, facts)
+  stages.write_results(f'{stem}.json', {'caption': caption, **facts})
   print(f'{stem}.png')
 
 
@@ -85,6 +76,4 @@ def draw(curves: dict[str, dict[str, dict[str, list[float]]]], path: str) -> Non
 
 
 if __name__ == '__main__':
-  environment.prepare()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()

@@ -1,4 +1,4 @@
-"""What IoU depends on: the view's azimuth, and its colour complexity.
+"""The dependence of the IoU on the view's azimuth and colour complexity.
 
 Tables are [N, V]: N test models, V views of each.
 """
@@ -20,10 +20,10 @@ class Colors(NamedTuple):
   """The colours of a set of views."""
 
   complexity: np.ndarray  # [N, V]
-  unique: int  # colours
-  retained: int  # of them, for the clusters
-  coverage: float  # the share of foreground pixels that have a retained colour
-  clusters: int  # fewer than asked for where so few colours are retained
+  unique: int  # number of colours
+  retained: int  # colours with at least t1 pixels
+  coverage: float  # share of foreground pixels with a retained colour
+  clusters: int  # fewer than asked for if too few colours are retained
   t1: int  # as of cvn.evaluation.complexity
   t2: int
 
@@ -39,7 +39,7 @@ class Group(NamedTuple):
 
 
 class Analysis(NamedTuple):
-  """Mean IoU and what it depends on."""
+  """Mean IoU, by azimuth and by colour complexity."""
 
   overall: Estimate
   by_azimuth: dict[float, Estimate]
@@ -47,15 +47,17 @@ class Analysis(NamedTuple):
   front_and_back: Estimate
   difference: Estimate  # sides - front and back, model by model
   by_complexity: list[Group]
-  correlation: Estimate  # Spearman's, of the complexity and the IoU of views
-  correlation_of_models: Estimate  # likewise of the models' means
+  correlation: Estimate  # Spearman's, between complexity and IoU of views
+  correlation_of_models: Estimate  # the same for the models' means
 
 
 def check_azimuths(azimuths: Sequence[float]) -> None:
-  """Raises UserError where there is no view from a side, the front or the back."""
+  """Raises UserError unless there are views from both sides, the front and the back."""
   missing = [f'{a}°' for a in (*FRONT_AND_BACK, *SIDES) if a not in azimuths]
   if missing:
-    raise UserError(f'the data set has no views from {", ".join(missing)}: make it with them')
+    raise UserError(
+      f'the data set has no views from {", ".join(missing)}: make one with these azimuths'
+    )
 
 
 def analyze(azimuths: Sequence[float], iou: np.ndarray, complexities: np.ndarray) -> Analysis:

@@ -1,4 +1,4 @@
-"""The figures of experiments.paper.people: plots with bands, and pictures of results."""
+"""The figures of experiments.paper.people: plots with confidence bands, pictures of results."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,13 +8,15 @@ import numpy as np
 from cvn import figures, infer
 from cvn.evaluation.intervals import Estimate
 from cvn.files import atomic_write
-from cvn.grid import ColoredVoxels
 from cvn.infer import Reconstruction
+from experiments.lib import pictures
+from experiments.lib.picks import Pick
+from experiments.lib.pictures import Shown
 from experiments.paper.people.analysis import Group
 
 COLOR, DPI = '#1f5fa8', 110
-BESIDE, BEHIND = 30, 210  # degrees from the input's camera: what it sees, and what it does not
-RESULT_TURNS = (BESIDE, 120, BEHIND, 300)
+BOTH_SIDES = (pictures.SIDE, pictures.SIDE + 180)  # degrees from the input's camera
+RESULT_TURNS = (BOTH_SIDES[0], 120, BOTH_SIDES[1], 300)
 TITLES = (
   'input',
   'flow',
@@ -22,12 +24,12 @@ TITLES = (
   'weight',
   'from behind',
   *(f'result\n+{a}°' for a in RESULT_TURNS),
-  *(f'truth\n+{a}°' for a in (BESIDE, BEHIND)),
+  *(f'truth\n+{a}°' for a in BOTH_SIDES),
 )
 
 
 def plot_azimuths(path: str, title: str, by_azimuth: Mapping[float, Estimate]) -> None:
-  """Mean IoU over the azimuth with its band, as a line and around the object."""
+  """Mean IoU by azimuth with its band, as a line and as a polar plot."""
   degrees = np.array([*by_azimuth, 360 + min(by_azimuth)])  # closed
   value, low, high = np.array([*by_azimuth.values(), by_azimuth[min(by_azimuth)]]).T
   figure = matplotlib.figure.Figure(figsize=(10, 4.2), dpi=DPI, layout='constrained')
@@ -52,14 +54,14 @@ def plot_azimuths(path: str, title: str, by_azimuth: Mapping[float, Estimate]) -
 def plot_complexity(
   path: str, title: str, groups: Sequence[Group], tested: np.ndarray, whole: np.ndarray
 ) -> None:
-  """Mean IoU over the colour complexity with its band, above how complex views are.
+  """Mean IoU by colour complexity with its band, above a histogram of complexities.
 
   Args:
     path: of the file.
-    title: above all.
+    title: of the figure.
     groups: of the test views.
-    tested: complexities of all test views, any shape.
-    whole: likewise of all views of the set.
+    tested: complexities of the test views, any shape.
+    whole: complexities of all views of the data set.
   """
   figure = matplotlib.figure.Figure(figsize=(6.4, 5.2), dpi=DPI, layout='constrained')
   figure.suptitle(title, fontsize=10)
@@ -83,37 +85,26 @@ def plot_complexity(
   _save(figure, path)
 
 
-def draw_result(
-  view: np.ndarray,
-  azimuth: float,
-  reconstruction: Reconstruction,
-  true: ColoredVoxels,
-  *,
-  size: int,
-) -> list[np.ndarray]:
-  """The pictures of a view's reconstruction, as `TITLES` names them.
+def draw_result(shown: Shown, pick: Pick, one: Reconstruction, *, tile: int) -> list[np.ndarray]:
+  """The pictures of a view's reconstruction in the order of `TITLES`.
 
   Args:
-    view: [H, W, 4] u8.
-    azimuth: of the view, degrees.
-    reconstruction: of this one view, numpy.
-    true: the model.
-    size: of each picture in pixels.
+    shown: the view and the true model.
+    pick: the model and the view.
+    one: the reconstruction of this view, numpy.
+    tile: size of each picture in pixels.
   """
 
-  def draw(shown, turn):
-    return figures.draw_voxels(shown, azimuth + turn, size=size)
+  def draw(drawn, turns):
+    return [pictures.draw(drawn, pick, tile=tile, turn=t - pictures.SIDE) for t in turns]
 
-  voxels = infer.to_voxels(reconstruction)
-  codes = (
-    figures.flow_color_code(reconstruction.flow),
-    figures.weight_color_code(reconstruction.weight),
-  )
+  voxels = infer.to_voxels(one)
+  codes = figures.flow_color_code(one.flow), figures.weight_color_code(one.weight)
   return [
-    figures.enlarge(view, size),
-    *(draw(voxels._replace(color=c), turn) for c in codes for turn in (BESIDE, BEHIND)),
-    *(draw(voxels, turn) for turn in RESULT_TURNS),
-    *(draw(true, turn) for turn in (BESIDE, BEHIND)),
+    figures.enlarge(shown.view, tile),
+    *(x for c in codes for x in draw(voxels._replace(color=c), BOTH_SIDES)),
+    *draw(voxels, RESULT_TURNS),
+    *draw(shown.true, BOTH_SIDES),
   ]
 
 

@@ -1,16 +1,17 @@
 r"""Compares this project with numbers printed by the authors' program.
 
-python -m experiments.check_parity --golden_dir=DIR
+python -m experiments.parity --golden_dir=DIR
 
-DIR holds ops.npz, net_shape.npz, net_color.npz and metrics.npz (see experiments.golden). Prints one
-line a quantity: name, largest error, tolerance, ok or FAIL; the exit status is 1 if one fails.
+DIR holds ops.npz, net_shape.npz, net_color.npz and metrics.npz (see golden.py). The program prints
+one line for each quantity: name, largest error, tolerance, and ok or FAIL. The exit status is 1 if
+any quantity fails.
 
-Errors are absolute, but for these: gradient norms and Adam losses are relative (a bias in front of
-a batch normalisation has no effect, so its gradient vanishes and is compared absolutely), and
-`blended` is the share of entries that are off by more than 1e-3, for the authors' nearest sampler
-jumps where rounding moves a flow over a pixel's edge. Those jumps would move the colour network's
-gradient norms by up to 2 %, so its loss and gradients are those of volumes rounded as the authors'
-are (see experiments.golden.one_by_one_line); its outputs are compared as they are.
+Errors are absolute with three exceptions. Gradient norms and Adam losses are compared relatively,
+except for a bias in front of a batch normalisation: it has no effect, so its gradient vanishes.
+`blended` is the share of entries that are off by more than 1e-3, because the authors' nearest
+sampler jumps where rounding moves a flow across the edge of a pixel. Those jumps would change the
+colour network's gradient norms by up to 2 %, so its loss and gradients are computed on volumes with
+the authors' rounding (golden.one_by_one_line). Its outputs are compared without that correction.
 """
 
 import functools
@@ -24,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from absl import flags
 
-from cvn import blending, errors, layers, losses, metrics, objectives, sampler, train
+from cvn import blending, layers, losses, metrics, objectives, sampler, train
 from cvn.data import Batch, ShapeBatch
 from cvn.errors import UserError
 from cvn.grid import ColoredVoxels
@@ -32,7 +33,8 @@ from cvn.networks import ColorNetwork, ShapeNetwork
 from cvn.objectives import Objective
 from cvn.ops import deconv, normalization
 from cvn.recipe import RELEASE
-from experiments import golden as files
+from experiments.lib import cli
+from experiments.parity import golden as files
 
 
 class Line(NamedTuple):
@@ -44,25 +46,25 @@ class Line(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
-  flags.DEFINE_string('golden_dir', None, 'The folder of golden values.', flag_values=f)
+  flags.DEFINE_string('golden_dir', None, 'Folder of the golden values.', flag_values=f)
   flags.mark_flags_as_required(['golden_dir'], f)
 
 
-def main(_) -> int:
-  return run(flags.FLAGS)
+@cli.program(define_flags)
+def main(f: flags.FlagValues) -> int:
+  return compare(f.golden_dir)
 
 
-def run(f: flags.FlagValues) -> int:
-  """Compares everything; returns the exit status."""
+def compare(folder: str) -> int:
+  """Compares everything in a folder of golden values; returns the exit status."""
   checks = (
     ('ops', files.OPS, check_ops),
     ('metrics', None, check_metrics),
     ('net_shape', files.SHAPE, check_shape),
     ('net_color', files.COLOR, check_color),
   )
-  # All files first: a missing one should not show after minutes.
-  golden = {name: files.read(os.path.join(f.golden_dir, f'{name}.npz'), s) for name, s, _ in checks}
+  # Read all files first, so that a missing one shows at once and not after minutes.
+  golden = {name: files.read(os.path.join(folder, f'{name}.npz'), k) for name, k, _ in checks}
   verdicts = [print_line(name, line) for name, _, check in checks for line in check(golden[name])]
   failed = verdicts.count(False)
   print(f'{len(verdicts)} quantities compared, {failed} out of tolerance', file=sys.stderr)
@@ -196,7 +198,7 @@ def check_color(golden: dict[str, np.ndarray]) -> Iterator[Line]:
 
 
 def draw_params(golden: dict[str, np.ndarray], network) -> dict:
-  """The network's parameters as the golden values' rule draws them."""
+  """The network's parameters, drawn by the rule of the golden values."""
   image = jnp.zeros((1, network.image_size, network.image_size, 3))
   shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), image, train=False))
   return files.draw_params(golden, shapes['params'])
@@ -222,7 +224,7 @@ def check_gradients(
   Args:
     golden: the file's arrays.
     params: the network's parameters.
-    loss: (params, *inputs) -> the loss without the penalty of the kernels.
+    loss: (params, *inputs) -> the loss without the kernel penalty.
     inputs: image and targets.
     tolerance: relative, of each variable's gradient norm.
   """
@@ -292,5 +294,4 @@ def relative_error(value, target) -> float:
 
 
 if __name__ == '__main__':
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()
