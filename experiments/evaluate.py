@@ -16,8 +16,8 @@ true colours to 8 bits.
 --baselines adds two trivial baselines made from the split train: the mean shape of the model's
 category, and its mean surface colour on the same voxels as the networks' colours.
 
-Thresholds and alpha are chosen on the split val, baselines made from the split train, of --data or of
---reference_data: so a data set that has only a test split can be evaluated as well.
+Thresholds and alpha are chosen on the split val, baselines made from the split train, of --data or
+of --reference_data: so a data set that has only a test split can be evaluated as well.
 """
 
 import contextlib
