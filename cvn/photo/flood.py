@@ -16,10 +16,16 @@ _SHADOW, _BRIGHTER = 0.35, 1.06  # shades of the ground, as parts of its brightn
 _LEAK = 1  # half the width of the holes in an edge that the flood does not pass, in pixels
 
 
+def largest(values: np.ndarray) -> np.ndarray:
+  """The largest absolute value of three channels, [...] of [..., 3]; numpy's `max` is slower."""
+  red, green, blue = np.moveaxis(np.abs(values), -1, 0)
+  return np.maximum(np.maximum(red, green), blue)
+
+
 def estimate_noise(image: np.ndarray) -> float:
   """The standard deviation of the noise, from the calmer half of the picture's border."""
   width = max(2, round(0.03 * min(image.shape[:2])))
-  residual = np.abs(image - ndimage.gaussian_filter(image, (1.5, 1.5, 0))).max(-1)
+  residual = largest(image - ndimage.gaussian_filter(image, (1.5, 1.5, 0)))
   ring = np.ones(residual.shape, bool)
   ring[width:-width, width:-width] = False
   return float(np.median(residual[ring])) / 1.2
@@ -36,8 +42,8 @@ def find_smooth(image: np.ndarray, noise: float) -> np.ndarray:
   # Shading goes on beyond the border as it comes: a mere reflection would put a fold there.
   wide = np.pad(image, ((margin,) * 2, (margin,) * 2, (0, 0)), 'reflect', reflect_type='odd')
   low = ndimage.gaussian_filter(wide, (coarse, coarse, 0))
-  band = np.abs(ndimage.gaussian_filter(wide, (fine, fine, 0)) - low).max(-1)
-  slope = np.hypot(*np.gradient(low, axis=(0, 1))).max(-1)
+  band = largest(ndimage.gaussian_filter(wide, (fine, fine, 0)) - low)
+  slope = largest(np.hypot(*np.gradient(low, axis=(0, 1))))
   return (band <= limit + per_slope * slope)[margin:-margin, margin:-margin]
 
 
@@ -88,7 +94,7 @@ def _flood(image, model, own, smooth, noise, brightest):
   """Smooth shades of the ground that are connected to where it touches the border."""
   shade = smooth & is_shade(image, model, noise, brightest=brightest)
   label, _ = ndimage.label(ndimage.binary_erosion(shade, np.ones((3, 3)), _LEAK, border_value=1))
-  near = np.abs(image - model).max(-1) <= max(16, 3 * noise)
+  near = largest(image - model) <= max(16, 3 * noise)
   edge = border(label)
   touching = np.unique(edge[border(near | own) & (edge > 0)])
   flood = np.isin(label, touching) & (label > 0)
@@ -109,7 +115,7 @@ def _fit(image, region):
   for _ in range(3):
     w = a * weights[:, None]
     solution = np.linalg.solve(w.T @ a + damping + 1e-6 * np.eye(6), w.T @ b)
-    weights = 1 / (1 + (np.abs(a @ solution - b).max(-1) / 8) ** 2)
+    weights = 1 / (1 + (largest(a @ solution - b) / 8) ** 2)
   return np.clip(terms @ solution.astype(np.float32), 0, 255)
 
 
@@ -127,7 +133,7 @@ def is_shade(
   scale = (image * model).sum(-1) / np.maximum((model * model).sum(-1), 1)
   dark = model.max(-1) < 24
   scale = np.where(dark, 1, scale)
-  hue = np.abs(image - scale[..., None] * model).max(-1)
+  hue = largest(image - scale[..., None] * model)
   return (hue <= max(_HUE, 4 * noise)) & (scale >= _SHADOW) & (scale <= brightest)
 
 

@@ -20,7 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from cvn.photo.flood import estimate_noise, extend, find_grounds, find_smooth, is_shade
+from cvn.photo.flood import (
+  estimate_noise,
+  extend,
+  find_grounds,
+  find_smooth,
+  is_shade,
+  largest,
+)
 from cvn.photo.regions import border, bounding_box, doubts, without_open, without_specks
 
 _PLAIN = 0.35  # share of the border that must be ground
@@ -110,14 +117,14 @@ def _find(image):
 def _difference(image, grounds):
   """How much a pixel differs from the nearest ground, or from a mixture where two grounds meet."""
   local = [extend(image, g) for g in grounds]
-  difference = np.min([np.abs(image - x).max(-1) for x in local], axis=0)
+  difference = np.min([largest(image - x) for x in local], axis=0)
   if len(grounds) > 1:
     first, second = local[:2]
     line = np.all([ndimage.distance_transform_edt(~g) <= _LINE for g in grounds[:2]], axis=0)
     along = second - first
     length = np.maximum((along * along).sum(-1, keepdims=True), 1e-6)
     share = np.clip(((image - first) * along).sum(-1, keepdims=True) / length, 0, 1)
-    mixed = np.abs(image - first - share * along).max(-1)
+    mixed = largest(image - first - share * along)
     difference = np.where(line, np.minimum(mixed, difference), difference)
   return difference
 
@@ -131,7 +138,7 @@ def _limits(image, difference, ground, tolerance):
   near = ndimage.maximum_filter(difference, 7)
   away, nearest = ndimage.distance_transform_edt(~ground, return_indices=True)
   low = ndimage.gaussian_filter(image, (2, 2, 0))
-  slope = np.hypot(*np.gradient(low, axis=(0, 1))).max(-1)[tuple(nearest)]
+  slope = largest(np.hypot(*np.gradient(low, axis=(0, 1))))[tuple(nearest)]
   limit = tolerance + 1.5 * np.minimum(slope, _STEEP) * away * (away <= _LINE)
   strong = difference > _STRONG
   blurred, traces = away <= 3, 0
@@ -180,7 +187,7 @@ def _inside_of_frame(image):
   height, width = image.shape[:2]
   for side in (image[:, 0], image[0]):
     color = np.median(side, axis=0)
-    bars = np.abs(image - color).max(-1) <= 12
+    bars = largest(image - color) <= 12
     rest = without_open(bars)
     if not rest.any():
       continue
@@ -200,7 +207,7 @@ def _inside_of_frame(image):
     if min(image[inside].shape[:2]) < 8:
       continue
     rim = border(image[inside])
-    plain = np.abs(rim - np.median(rim, axis=0)).max(-1) <= 16
+    plain = largest(rim - np.median(rim, axis=0)) <= 16
     if plain.mean() >= 0.5:
       return inside
   return None

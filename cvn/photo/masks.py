@@ -26,7 +26,7 @@ SOLID = 128  # and from here on as the object
 _FAINT = 32  # the least alpha of an object that is transparent all over
 _MARGIN = 0.3  # around an object that is searched again, of its longer side
 _LEAST_SIDE = 64  # smaller pictures are searched enlarged
-_WORKING_PIXELS = 640 * 640  # larger pictures are searched at this size
+_WORKING_PIXELS = 512 * 512  # larger pictures are searched at this size
 
 
 class Mask(NamedTuple):
