@@ -1,11 +1,17 @@
-r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
+r"""Metrics of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
   [--category=NAME,...] [--source=NAME,...] [--alpha=NUMBER|val] [--threshold=NUMBER|val] [--flip]
-  [--carve] [--baselines] [--json=FILE]
+  [--carve] [--baselines] [--retrieval] [--pictures] [--reference_data=DIR]
+  [--reference_source=NAME,...] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
+
+Shapes have an IoU, F-scores at tolerances from 1/200 to 1/20 of the cube's side, and a Chamfer
+distance in sides of the cube (cvn/evaluation/surfaces.py); colours have a surface PSNR. With
+--pictures, results are drawn from all azimuths and compared with pictures of the truth by PSNR and
+SSIM (cvn/evaluation/pictures.py).
 
 Means are over all views of all models: by view, by category and in total. The last column of the
 paper's tables is the mean of the categories' means. With --shape alone there is no PSNR; with
@@ -14,10 +20,13 @@ it is counted, and left out of the mean. No view counts for more than 58.9 dB, t
 true colours to 8 bits.
 
 --baselines adds two trivial baselines made from the split train: the mean shape of the model's
-category, and its mean surface colour on the same voxels as the networks' colours.
+category, and its mean surface colour on the same voxels as the networks' colours. --retrieval adds
+what a network could reach that only remembers: the training model with the view whose outline, or
+whose code in the shape network, is most similar, and, as a bound, the training model that is
+nearest to the truth. A looked-up model is evaluated with its own shape and colours.
 
-Thresholds and alpha are chosen on the split val, baselines made from the split train, of --data or
-of --reference_data: so a data set that has only a test split can be evaluated as well.
+The splits val and train that thresholds, alpha, baselines and retrieval use are those of --data or,
+for a data set that has only a test split, of --reference_data.
 """
 
 import contextlib
@@ -36,9 +45,13 @@ from cvn.errors import UserError
 from cvn.evaluation import baselines
 from cvn.files import atomic_write
 from experiments.lib import cli, markdown, scoring, stages
+from experiments.lib import memory as memories
 from experiments.lib.evaluation import ALPHAS, Settings, define_flags, make_options, read_flags
+from experiments.lib.memory import WAYS, Memory
 from experiments.lib.scoring import METRICS, Baseline, Network
 
+DETAILED = ('iou', 'psnr_rgb', 'psnr_ycbcr')  # also told by category and view
+WHO = {'networks': 'networks', 'baselines': 'mean shape, mean colour', **WAYS}
 UNKNOWN_CAMERA = 'im2avatar_release'  # the source of models whose views have another camera
 
 
@@ -60,13 +73,21 @@ def evaluate(s: Settings) -> dict[str, Any]:
   """
   if not (s.shape or s.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
+  if s.retrieval and not s.shape:
+    raise UserError('--retrieval needs --shape=WORKDIR: its encoder compares the views')
+  if s.pictures and not (s.shape and s.color):
+    raise UserError(
+      '--pictures needs --shape=WORKDIR and --color=WORKDIR: it draws coloured shapes'
+    )
   dataset = open_dataset(s.data)
   rows = data.select_rows(dataset, s.split, categories=s.category, sources=s.source)
   if len(rows) == 0:
     raise UserError(f'{s.data} has no finished model in the split {s.split}')
-  shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
-  color = shape  # one network for both runs once
-  if s.color != s.shape:
+  if s.shape == s.color:  # one network for both runs once
+    kinds = [kind for kind in readouts.SHAPE_KINDS if kind in readouts.COLOR_KINDS]
+    shape = color = scoring.load(s.shape, kinds, dataset)
+  else:
+    shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
     color = scoring.load(s.color, readouts.COLOR_KINDS, dataset) if s.color else None
   models = dataset.manifest.models
   if s.carve and any(models[row].source == UNKNOWN_CAMERA for row in rows):
@@ -76,12 +97,15 @@ def evaluate(s: Settings) -> dict[str, Any]:
     )
   reference = open_reference(s, dataset)
   means = find_baselines(reference, {models[row].category for row in rows}) if s.baselines else {}
-  options = {'flip': s.flip, 'carve': s.carve}
+  memory = find_memory(s, reference, shape) if s.retrieval else None
+  options = {'flip': s.flip, 'carve': s.carve, 'drawn': s.pictures}
   threshold = find_threshold(s, reference, shape, color)
   alpha = find_alpha(s, reference, shape, color, threshold)
   options |= {'alpha': alpha, 'threshold': threshold}
   found = [
-    scoring.score_model(dataset, row, shape, color, means.get(models[row].category), **options)
+    scoring.score_model(
+      dataset, row, shape, color, means.get(models[row].category), memory, **options
+    )
     for row in tqdm(rows, desc=f'evaluate {s.split}', unit='model', disable=None)
   ]
   return {
@@ -92,7 +116,7 @@ def evaluate(s: Settings) -> dict[str, Any]:
 
 
 def open_reference(s: Settings, dataset: Dataset) -> Dataset:
-  """The data set that thresholds, alpha and baselines come from.
+  """The data set that thresholds, alpha, baselines and retrieval use.
 
   Raises:
     UserError: it cannot be read, or it has other sizes.
@@ -189,6 +213,19 @@ def find_baselines(dataset: Dataset, categories: Iterable[str]) -> dict[str, Bas
   }
 
 
+def find_memory(s: Settings, dataset: Dataset, shape: Network) -> Memory:
+  """The training models of the settings' categories.
+
+  Raises:
+    UserError: there is none.
+  """
+  rows = data.select_rows(dataset, 'train', categories=s.category)
+  if len(rows) == 0:
+    raise UserError(f'{dataset.root} has no finished model in the split train: no --retrieval')
+  progress = tqdm(rows, desc='training models', unit='model', disable=None)
+  return memories.remember(dataset, progress, shape)
+
+
 def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
   """The means as JSON values; None if there is nothing to average."""
   azimuths = dataset.manifest.azimuths
@@ -207,6 +244,7 @@ def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
     by_category = {c: means(table, models=n) for c, n in chosen.items()}
     report[who] = {
       'total': means(table),
+      'error': {k: error(v) for k, v in table.items()},
       'mean_of_categories': {
         k: mean(np.array([m[k] for m in by_category.values()], float)) for k in METRICS
       },
@@ -232,6 +270,13 @@ def mean(values: np.ndarray) -> float | None:
   return result if math.isfinite(result) else None
 
 
+def error(table: np.ndarray) -> float | None:
+  """The standard error over models of their means over views [models, V]; None for one."""
+  by_model = np.array([np.mean(v[~np.isnan(v)]) for v in table if not np.isnan(v).all()])
+  result = np.std(by_model, ddof=1) / np.sqrt(len(by_model)) if len(by_model) > 1 else math.nan
+  return float(result) if math.isfinite(result) else None
+
+
 def print_report(report: dict[str, Any]) -> None:
   """Prints the means."""
   print(f'{report["models"]} models of the split {report["split"]}, {report["views"]} views each')
@@ -241,8 +286,9 @@ def print_report(report: dict[str, Any]) -> None:
     print('no --shape: colours are evaluated on the true shapes')
   if report['color']:
     print(f'alpha: {report["alpha"]:g}')
+  print(f'\n{measures_table(report)}\n')
   whose = [w for w in ('networks', 'baselines') if w in report]
-  used = [k for k in METRICS if report['networks']['total'][k] is not None]
+  used = [k for k in DETAILED if report['networks']['total'][k] is not None]
   head = {'networks': '{}', 'baselines': '({})'}
   titles = [head[w].format(METRICS[k]) for k in used for w in whose]
 
@@ -261,6 +307,21 @@ def print_report(report: dict[str, Any]) -> None:
   empty = report['networks']['views_without_voxels']
   if empty:
     print(f'{empty} views have no occupied voxel and no PSNR')
+
+
+def measures_table(report: dict[str, Any]) -> str:
+  """All metrics of the networks and of what they are compared with, ± the standard error."""
+  used = [k for k in METRICS if report['networks']['total'][k] is not None]
+
+  def cell(who, metric):
+    value, spread = (report[who][kind][metric] for kind in ('total', 'error'))
+    if value is None:
+      return markdown.NONE
+    return f'{value:.3f}' if spread is None else f'{value:.3f} {markdown.detail(f"± {spread:.3f}")}'
+
+  rows = [[title, *(cell(who, k) for k in used)] for who, title in WHO.items() if who in report]
+  caption = 'Means over all views of all models, ± one standard error over models'
+  return markdown.numbers(['', *(METRICS[k] for k in used)], rows, caption=caption)
 
 
 if __name__ == '__main__':

@@ -67,6 +67,21 @@ def test_tilted_box_lies_within_its_stated_distances(seed):
   assert grid[distance <= NEAR - SLACK].all()
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_a_face_without_height_is_its_edge(seed):
+  """Occupied is every centre within half a voxel, whichever way the needle points."""
+  rng = np.random.default_rng(seed)
+  start, end = rng.uniform(-0.4, 0.4, (2, 3))
+  across = np.cross(end - start, rng.standard_normal(3))
+  apex = (start + end) / 2 + 1e-9 * across / np.linalg.norm(across)
+  along = end - start
+  t = np.clip((CENTERS - start) @ along / (along @ along), 0, 1)
+  distance = np.linalg.norm(CENTERS - start - t[..., None] * along, axis=-1) * GRID_SIZE
+  grid = occupied(trimesh.Trimesh([start, end, apex], [[0, 1, 2]], process=False))
+  assert distance[grid].max() <= np.sqrt(0.5) + SLACK  # of a rod, where no centre is as near
+  assert grid[distance <= FAR - SLACK].all()
+
+
 @pytest.mark.parametrize('cuts', [0, 3, 6])
 @pytest.mark.parametrize('seed', range(3))
 def test_sheet_is_one_layer(seed, cuts):

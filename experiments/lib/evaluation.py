@@ -14,7 +14,10 @@ from cvn.dataset import SPLITS, Dataset, digest, open_dataset
 from experiments.lib import cli
 
 ALPHAS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the paper's tables
-STORED = ('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve', 'baselines')
+STORED = (
+  *('split', 'category', 'source', 'alpha', 'threshold', 'flip', 'carve'),
+  *('baselines', 'retrieval', 'pictures'),
+)
 
 
 class Settings(NamedTuple):
@@ -31,6 +34,8 @@ class Settings(NamedTuple):
   flip: bool
   carve: bool
   baselines: bool
+  retrieval: bool
+  pictures: bool
   reference_data: str | None = None
   reference_source: Sequence[str] = ()
 
@@ -65,11 +70,23 @@ def define_flags(f: flags.FlagValues) -> None:
     **own,
   )
   flags.DEFINE_bool('baselines', False, 'Evaluate the trivial baselines as well.', **own)
+  flags.DEFINE_bool(
+    'retrieval',
+    False,
+    'Evaluate training models that are looked up as well; needs --shape.',
+    **own,
+  )
+  flags.DEFINE_bool(
+    'pictures',
+    False,
+    'Compare pictures of the results from all azimuths; needs --shape and --color.',
+    **own,
+  )
   flags.DEFINE_string(
     'reference_data',
     None,
-    'Data set whose splits val and train provide thresholds, alpha and baselines; --data itself by'
-    ' default.',
+    'Data set whose splits val and train provide thresholds, alpha, baselines and retrieval; --data'
+    ' itself by default.',
     **own,
   )
   flags.DEFINE_list(
