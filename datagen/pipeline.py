@@ -121,6 +121,7 @@ def run_job(job: Job) -> Outcome:
     arrays = dataset_lib.open_arrays(job.root)
     try:
       record, made = call_within(job.timeout, _make, job)
+      dataset_lib.check_size(arrays, record)
     except UserError as e:
       reason = str(e)
     else:

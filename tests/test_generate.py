@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import time
+import types
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
@@ -283,6 +284,17 @@ def test_an_unforeseen_error_is_a_reason(monkeypatch, generated):
   outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', Settings(), 60.0))
   assert outcome.reason == 'ZeroDivisionError: three lines long'
   assert outcome.stats is None
+
+
+def test_more_voxels_than_a_record_holds_are_the_models_fault(monkeypatch, generated):
+  def fill(*_, **__):
+    full = pipeline.dataset_lib.SURFACE_CAPACITY + 1
+    return types.SimpleNamespace(surface_index=np.zeros((full, 3), np.uint8)), None
+
+  monkeypatch.setattr(pipeline, '_make', fill)
+  model = SourceModel('box-0', 'box', str(generated[1] / '..'))
+  outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', Settings(), 60.0))
+  assert 'a record holds 1 to' in outcome.reason and outcome.stats is None
 
 
 class FragileExecutor(Executor):
