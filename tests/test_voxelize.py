@@ -296,18 +296,6 @@ def test_at_a_border_the_larger_colour_wins(share):
   assert (color[~red] == 255).all() and (~red).sum() > 500
 
 
-def test_a_long_face_is_sampled_along_its_length():
-  """A strip across the voxels' centres is white there and red in the larger part beside."""
-  middle = 40.5 / GRID_SIZE - 0.5  # of column 40
-  edges = middle + np.array([-0.08, 0.08, 0.45]) / GRID_SIZE
-  mesh = sheets((*edges[:2], 0.003, WHITE), (*edges[1:], 0.003, RED))
-  index, color, _ = voxelize(mesh)
-  inner = (
-    (index[:, 0] == 40) & (index[:, 1] > index[:, 1].min()) & (index[:, 1] < index[:, 1].max())
-  )
-  assert (color[inner] == [255, 0, 0]).all() and inner.sum() > 45
-
-
 def test_what_no_view_shows_counts_only_where_nothing_else_is():
   """White over red, within one layer of voxels; the red sheet, twice, is the wider one."""
   mesh = sheets((-0.2, 0.2, 0.009, WHITE), (-0.4, 0.4, 0.005, RED), (-0.4, 0.4, 0.004, RED))
