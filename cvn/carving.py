@@ -116,7 +116,9 @@ def _project(probability, foreground, azimuths):
   """The pixels (row, column) that voxels' centres project to from each azimuth, [A, X * Y * Z]."""
   size, image = probability.shape[1:], foreground.shape[1:]
   if len(set(size)) > 1 or len(set(image)) > 1 or len(probability) != len(foreground):
-    raise ValueError(f'[B, X, X, X] and [B, H, H] are due: {probability.shape}, {foreground.shape}')
+    raise ValueError(
+      f'[B, X, X, X] and [B, H, H] are needed: {probability.shape}, {foreground.shape}'
+    )
   index = np.stack(np.meshgrid(*map(np.arange, size), indexing='ij'), -1).reshape(-1, 3)
   centers = jnp.asarray(grid.index_to_world(index, size=size[0]), jnp.float32)
   cameras = [camera.camera_at(a, image_size=image[0]) for a in azimuths]

@@ -5,13 +5,13 @@ python -m datagen.generate --source=meshes --category=chair --input=DIR --output
 python -m datagen.generate --source=sweethome3d --category='chair,sofa=sofa|couch' --input=DIR \
   --output=DIR
 
-The same command again makes what is missing and what has changed: meshes that were written anew,
-or are to stand otherwise (--up, --turn). --append adds other models to a data set that is there.
-Models that fail are listed, with the reason, in failures.json, and left out. contact_sheet.png
-shows some of each category; python -m datagen.inspect tells of all of them.
+Repeat the command to make models that are missing or have changed: meshes with new contents, or
+with another --up or --turn. --append adds other models to an existing data set. Models that fail
+are left out and listed with the reason in failures.json. contact_sheet.png shows some models of
+each category; python -m datagen.inspect checks all of them.
 
---scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
-its machines, a shared file system or, for --output, a bucket (gs://, s3://).
+With --scheduler=ADDRESS a Dask cluster does the work. --input and --output must then mean the same
+on all its machines: a shared file system or, for --output, a bucket (gs://, s3://).
 """
 
 import contextlib
@@ -32,14 +32,14 @@ from cvn import errors
 from cvn.dataset import Dataset, Facts
 from cvn.errors import UserError
 from datagen import sources
-from datagen.contact_sheet import contact_sheet, rows_to_show
 from datagen.executors import dask_client, process_executor
-from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
-from datagen.notes import from_bits
+from datagen.geometry.flow import SIMILARITY, TOLERANCE, FlowStats
+from datagen.geometry.render import SHADINGS
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
-from datagen.placement import COLUMNS, TABLE, UPS, with_owners_word
+from datagen.placement import COLUMNS, TABLE, UPS, with_metadata
 from datagen.plan import keep_listed, list_models, open_or_create, plan
-from datagen.render import SHADINGS
+from datagen.quality.contact_sheet import contact_sheet, rows_to_show
+from datagen.reading.notes import from_bits
 
 REASONS_SHOWN = 5
 SHEET_MODELS = 8  # on the contact sheet
@@ -49,7 +49,7 @@ DASK_JOBS = 4096  # in a scheduler's hands at a time
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
+  """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
   flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Where the meshes come from.', **own)
   flags.DEFINE_list(
@@ -136,7 +136,7 @@ def main(_) -> None:
 
 
 def run(f: flags.FlagValues) -> None:
-  """Generates as the flags say, and prints a summary."""
+  """Generates the data set and prints a summary."""
   settings = Settings(
     shading=f.shading,
     tolerance=f.tolerance,
@@ -146,7 +146,7 @@ def run(f: flags.FlagValues) -> None:
   if f.splits:
     found, note = keep_listed(found, f.splits, f.limit)
     print(note)
-  found = with_owners_word(
+  found = with_metadata(
     found,
     table=f.table,
     input_dir=f.input,
@@ -196,7 +196,7 @@ def run(f: flags.FlagValues) -> None:
 
 
 def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, str]:
-  """Brings failures.json up to date and returns it: id -> reason, in the order of the rows."""
+  """Updates failures.json and returns it: id -> reason, in the order of the rows."""
   models, done = dataset.manifest.models, dataset_lib.surface_counts(dataset) > 0
   failures = dataset_lib.read_json(dataset.root, 'failures.json') or {}
   failures |= {models[o.row].id: o.reason for o in outcomes if o.reason}
@@ -207,7 +207,7 @@ def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, s
 
 
 def write_png(dataset: Dataset, name: str, image: np.ndarray) -> None:
-  """Writes a picture beside the arrays, whole or not at all."""
+  """Writes an image beside the arrays, atomically."""
   png = io.BytesIO()
   Image.fromarray(image).save(png, 'PNG')
   try:
@@ -223,14 +223,14 @@ def summary(
   failures: dict[str, str],
   there: int,
 ) -> str:
-  """What the run did, for a person.
+  """A readable summary of the run.
 
   Args:
     dataset: the data set.
-    done: [N] bool, the models it holds now.
-    outcomes: of this run.
+    done: [N] bool, the models that it holds now.
+    outcomes: the outcomes of this run.
     failures: id -> reason.
-    there: how many of the models that were asked for had been made before.
+    there: number of requested models that existed before.
   """
   manifest = dataset.manifest
   splits = Counter(m.split for m, there in zip(manifest.models, done, strict=True) if there)
@@ -255,7 +255,7 @@ def summary(
 
 
 def _note_lines(facts: Sequence[Facts]) -> list[str]:
-  """What readers missed, ignored or guessed, and of how many models."""
+  """How many models have files that readers missed, ignored or guessed."""
   lacking = sum(f.missing > 0 for f in facts)
   lines = [f'{lacking} models name files or materials that are not there'] if lacking else []
   counts = Counter(note for f in facts for note in from_bits(f.notes))

@@ -1,4 +1,4 @@
-r"""Looks through a data set: what it holds, how good it is, and which models look wrong.
+r"""Inspects a data set: its contents, its quality, and models that look wrong.
 
 python -m datagen.inspect --data=DIR
 python -m datagen.inspect --data=DIR --id=ID
@@ -16,10 +16,10 @@ from cvn import errors
 from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, read_record, surface_counts
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen.contact_sheet import contact_sheet
-from datagen.examine import Examined, examine, suspicions
-from datagen.flow import FIDELITY
-from datagen.notes import from_bits
+from datagen.geometry.flow import FIDELITY
+from datagen.quality.contact_sheet import contact_sheet
+from datagen.quality.examine import Examined, examine, suspicions
+from datagen.reading.notes import from_bits
 
 BINS = 10  # of the histogram
 BAR = 40  # characters
@@ -29,7 +29,7 @@ SHEET_MODELS = 12
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
+  """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
   flags.DEFINE_string('data', None, 'The folder or URL of the data set.', **own)
   flags.DEFINE_string('id', None, 'Only this model.', **own)
@@ -47,7 +47,7 @@ def main(_) -> None:
 
 
 def run(f: flags.FlagValues) -> None:
-  """Reads the data set and prints what is in it."""
+  """Reads the data set and prints a description."""
   dataset = open_dataset(f.data)
   models, counts = dataset.manifest.models, surface_counts(dataset)
   rows = np.flatnonzero(counts)
@@ -71,7 +71,7 @@ def run(f: flags.FlagValues) -> None:
 
 
 def describe(model: Model, examined: Examined, reasons: Sequence[str]) -> str:
-  """All about one model."""
+  """A description of one model."""
   lines = [f'{k:10} {v}' for k, v in model._asdict().items() if v]
   lines += [
     f'{"voxels":10} {examined.voxels}',
@@ -89,13 +89,13 @@ def overview(
   examined: Sequence[Examined],
   found: Sequence[Sequence[str]],
 ) -> str:
-  """All about a data set.
+  """A description of a data set.
 
   Args:
     dataset: the data set.
-    rows: of its finished models.
-    examined: those models.
-    found: what speaks against each.
+    rows: rows of its finished models.
+    examined: the measurements of these models.
+    found: the suspicions about each model.
   """
   models = [dataset.manifest.models[row] for row in rows]
   planned = Counter(m.category for m in dataset.manifest.models)
@@ -135,7 +135,7 @@ def overview(
 
 
 def _noted(models: Sequence[Model], examined: Sequence[Examined]) -> list[str]:
-  """Each note with the models that have it."""
+  """Each note and the models that have it."""
   having: dict[str, list[str]] = {}
   for model, e in zip(models, examined, strict=True):
     for note in from_bits(e.notes):

@@ -1,8 +1,8 @@
-"""One model -> one record; many models, over an Executor, -> a data set.
+"""One model -> one record; many models -> a data set, with an Executor.
 
-The Executor is the only seam for parallel work: anything with the interface of
-`concurrent.futures.Executor` does. Jobs and outcomes pickle; a worker writes its own record into
-the data set, and what it writes depends on the job alone, not on the other workers.
+The Executor is the only place where work becomes parallel: anything with the interface of
+`concurrent.futures.Executor` works. Jobs and outcomes can be pickled. A worker writes its own
+record into the data set, and the record depends on the job alone, not on the other workers.
 """
 
 import time
@@ -25,28 +25,28 @@ from cvn.camera import AZIMUTHS, IMAGE_SIZE, camera_at
 from cvn.dataset import Facts, Record
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
-from datagen import mesh as mesh_lib
 from datagen import sources
-from datagen.coincident import without_coincident
-from datagen.examine import flow_stats
-from datagen.facts import facts_of
-from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
+from datagen.geometry import mesh as mesh_lib
+from datagen.geometry.coincident import without_coincident
+from datagen.geometry.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
+from datagen.geometry.render import render
+from datagen.geometry.voxelize import voxelize
 from datagen.limits import call_within
 from datagen.placement import stand_up
-from datagen.render import render
+from datagen.quality.examine import flow_stats
+from datagen.quality.facts import facts_of
 from datagen.sources import SourceModel
-from datagen.voxelize import voxelize
 
 
 class Settings(NamedTuple):
-  """How records are made: with the model itself, all that decides their bytes."""
+  """How records are made: these and the model decide every byte."""
 
   azimuths: tuple[float, ...] = AZIMUTHS  # degrees
   image_size: int = IMAGE_SIZE  # pixels
   grid_size: int = GRID_SIZE  # voxels
-  shading: str = 'flat'  # one of datagen.render.SHADINGS
-  tolerance: float = TOLERANCE  # of datagen.flow, voxels
-  similarity: float = SIMILARITY  # of datagen.flow, RGB distance
+  shading: str = 'flat'  # one of datagen.geometry.render.SHADINGS
+  tolerance: float = TOLERANCE  # of datagen.geometry.flow, voxels
+  similarity: float = SIMILARITY  # of datagen.geometry.flow, RGB distance
 
 
 SETTINGS = Settings()
@@ -54,7 +54,7 @@ NO_MEMORY = 'it needs more memory than a worker may have'
 
 
 class Job(NamedTuple):
-  """One model to make."""
+  """A model to make."""
 
   root: str  # of the data set
   row: int
@@ -65,7 +65,7 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-  """What became of a job."""
+  """The result of a job."""
 
   row: int
   seconds: float
@@ -80,7 +80,7 @@ def make_record(
   """Turns a coloured mesh of any size into voxels, views and target flows.
 
   Raises:
-    UserError: the mesh is unfit: no faces, not finite, no extent, or nothing to see in a view.
+    UserError: the mesh is unusable: no faces, not finite, no extent, or invisible in a view.
   """
   s = settings
   mesh_lib.check(mesh)
@@ -108,12 +108,12 @@ def make_record(
 
 
 def run_job(job: Job) -> Outcome:
-  """Makes one model within its time and writes its record.
+  """Makes one model within its time limit and writes its record.
 
-  Whatever goes wrong with the model becomes the outcome's reason.
+  Any problem of the model becomes the reason in its outcome.
 
   Raises:
-    UserError: the data set cannot be written: no other model will fare better.
+    UserError: the data set cannot be written, which would affect all other models too.
   """
   start = time.perf_counter()
   stats, facts, reason = None, None, ''
@@ -156,22 +156,22 @@ def run_jobs(
   *,
   in_hand: int | None = None,
 ) -> Iterator[Outcome]:
-  """Runs jobs and yields each outcome as it comes.
+  """Runs jobs and yields each outcome when it is ready.
 
-  When a worker dies (a crash in native code), a pool of local processes is lost with all that it
-  had in hand. Those jobs are run again one by one, each in a pool of its own, and the one whose
-  pool breaks again is the one that failed. Dask gives the job of a worker that died to another one,
-  and only after several such deaths fails the job.
+  When a worker dies (a crash in native code), a pool of local processes loses all its jobs in
+  progress. These jobs are run again one by one, each in a pool of its own; the job whose pool
+  breaks again is the one that failed. Dask gives the job of a dead worker to another worker, and
+  fails it only after several deaths.
 
-  A worker that ran out of memory may keep most of it: freed memory goes back to the system only
-  where nothing above it is in use. Models that fit would fail in it, for any reason. So the pool
-  is given no more jobs, and what fails in it from then on is run again in the same way.
+  A worker that ran out of memory may keep most of it, because freed memory returns to the system
+  only if nothing above it is in use. Models that would fit then fail in it, for any reason. So such
+  a pool gets no more jobs, and what fails in it from then on is run again in the same way.
 
   Args:
-    jobs: what to do.
-    make_executor: makes an executor with that many workers.
-    workers: how many.
-    in_hand: jobs given to the executor at a time; None for twice the workers.
+    jobs: the jobs.
+    make_executor: makes an executor with the given number of workers.
+    workers: number of workers.
+    in_hand: number of jobs given to the executor at a time; None for twice the workers.
 
   Raises:
     UserError: the data set cannot be written, or the executor is lost with all its workers.

@@ -1,7 +1,7 @@
-"""How models stand in their files, and what else only their owner knows: flags and a table.
+"""The orientation of models in their files, their split, licence and creator: flags and a table.
 
-A table is a CSV file with a header. Its column `id` names the models, the other ones are any of
-`COLUMNS`; what it leaves empty the flags say.
+A table is a CSV file with a header. Its column `id` names the models; the other columns are any of
+`COLUMNS`. Empty cells take the values of the flags.
 """
 
 import csv
@@ -13,7 +13,7 @@ import numpy as np
 
 from cvn.dataset import SPLITS
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources import SourceModel
 
 TABLE = 'models.csv'  # beside the meshes
@@ -29,12 +29,13 @@ UPS = {  # what points up in the file -> rows that turn it to y
 
 
 def stand_up(mesh: TexturedMesh, up: str, turn: float) -> TexturedMesh:
-  """A mesh with y up, turned about y.
+  """Rotates a mesh so that y is up, then turns it about y.
 
   Args:
-    mesh: as it is in its file.
+    mesh: the mesh as in its file.
     up: the file's axis that points up, a key of `UPS`.
-    turn: degrees, anticlockwise seen from above: 180 for what faces -z, -90 for what faces +x.
+    turn: degrees, anticlockwise from above: 180 for meshes that face -z, -90 for those that face
+      +x.
   """
   if up == 'y' and turn == 0:
     return mesh
@@ -45,7 +46,7 @@ def stand_up(mesh: TexturedMesh, up: str, turn: float) -> TexturedMesh:
 
 
 def read_table(path: str) -> dict[str, dict[str, str]]:
-  """Reads a table: id -> column -> what it says, without what is empty.
+  """Reads a table: id -> column -> value, without empty cells.
 
   Raises:
     UserError: it cannot be read, has an unknown column or value, or names a model twice.
@@ -91,7 +92,7 @@ def _check(said, where):
     raise UserError(f'{where}: turn is {said["turn"]!r}, no number of degrees')
 
 
-def with_owners_word(
+def with_metadata(
   models: Sequence[SourceModel],
   *,
   table: str | None = None,

@@ -1,4 +1,4 @@
-"""Which models a data set is to hold, in which rows, and whether one that is there agrees."""
+"""The models that a data set is to hold, their rows, and whether an existing data set agrees."""
 
 import itertools
 import os
@@ -20,10 +20,10 @@ VERSION = 4  # of what is generated: the same settings and version give the same
 def list_models(
   source: str, categories: Sequence[str], input_dir: str | None, limit: int | None, seed: int
 ) -> list[SourceModel]:
-  """All the models to make, category by category.
+  """All models to make, category by category.
 
   Raises:
-    UserError: there are none, or two of one id; and what the source itself raises.
+    UserError: there are none, or two have the same id. Errors of the source are passed on.
   """
   wanted = [c.strip() for c in categories if c.strip()]
   if not wanted:
@@ -49,15 +49,15 @@ def list_models(
 def keep_listed(
   models: Sequence[SourceModel], folder: str, limit: int | None
 ) -> tuple[list[SourceModel], str]:
-  """Keeps the models that lists of ids name, each with the split that its list says.
+  """Keeps the models named in lists of ids, each with its list's split.
 
   Args:
-    models: category by category.
-    folder: where the lists are.
-    limit: the most models of each category to keep; None keeps all.
+    models: the models, category by category.
+    folder: folder of the lists.
+    limit: maximum number of models of each category; None keeps all.
 
   Returns:
-    (the models, one line about what the lists and the models do not share).
+    (the models, one line about differences between lists and models).
 
   Raises:
     UserError: a category has no lists, or they name none of the models.
@@ -78,12 +78,12 @@ def keep_listed(
 def plan(
   models: Sequence[SourceModel], source: str, *, input_dir: str | None = None
 ) -> list[Model]:
-  """What the data set says of each model.
+  """The manifest's entries for models.
 
   Args:
-    models: as the source lists them. Where they have no split, a hash of the id gives it.
-    source: its name.
-    input_dir: paths are kept relative to it, so that the folder may move.
+    models: the models as listed by their source. A hash of the id replaces a missing split.
+    source: name of the source.
+    input_dir: paths are stored relative to it, so that the folder can move.
   """
   return [
     Model(
@@ -103,7 +103,7 @@ def plan(
 
 
 def _relative(path: str, input_dir: str | None) -> str:
-  """A path below the input folder; beside it, where the input is a file."""
+  """A path relative to the input folder, or to the folder of the input file."""
   if not path:
     return ''
   if input_dir and os.path.isdir(input_dir):
@@ -112,28 +112,28 @@ def _relative(path: str, input_dir: str | None) -> str:
 
 
 def _without(model: Model) -> Model:
-  """A model without that for which it is made anew when it changes."""
+  """A model without the fields whose changes cause it to be made again."""
   return model._replace(content='', up='y', turn=0.0)
 
 
 def open_or_create(
   root: str, models: Sequence[Model], settings: Settings, *, append: bool
 ) -> tuple[Dataset, list[int]]:
-  """Makes the data set, or opens the one that is there when it goes with this one.
+  """Creates the data set, or opens an existing one that agrees.
 
   Args:
     root: its folder or URL.
-    models: that it is to hold.
+    models: the models that it is to hold.
     settings: how its records are made.
-    append: whether to plan the models that a data set that is there does not hold.
+    append: whether to add models that an existing data set does not hold.
 
   Returns:
-    (the data set, the row of each model). Models whose files, `up` or `turn` have changed are not
-    made any more.
+    (the data set, the row of each model). Models whose files, `up` or `turn` have changed count as
+    not made.
 
   Raises:
-    UserError: the data set that is there was made with other settings, holds another model of the
-      same id, or lacks models without `append`.
+    UserError: the existing data set was made with other settings, holds another model of the same
+      id, or lacks models without `append`.
   """
   settings_json = {
     'shading': settings.shading,

@@ -78,9 +78,11 @@ def evaluate(s: Settings) -> dict[str, Any]:
   rows = data.select_rows(dataset, s.split, categories=s.category, sources=s.source)
   if len(rows) == 0:
     raise UserError(f'{s.data} has no finished model in the split {s.split}')
-  shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
-  color = shape  # one network for both runs once
-  if s.color != s.shape:
+  if s.shape == s.color:  # one network for both runs once
+    kinds = [kind for kind in readouts.SHAPE_KINDS if kind in readouts.COLOR_KINDS]
+    shape = color = scoring.load(s.shape, kinds, dataset)
+  else:
+    shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
     color = scoring.load(s.color, readouts.COLOR_KINDS, dataset) if s.color else None
   models = dataset.manifest.models
   if s.carve and any(models[row].source == UNKNOWN_CAMERA for row in rows):

@@ -159,7 +159,7 @@ MUTANTS = {
       ('return kernel.astype(x.dtype).astype(jnp.float32)', 'return kernel'),
     ],
   ),
-  'datagen/voxelize.py': (
+  'datagen/geometry/voxelize.py': (
     'test_voxelize',
     [
       ('shift = np.array([1.0, 0.6, 0.35]) * 1e-6', 'shift = np.array([1.0, 0.6, 0.35]) * 1e-1'),
@@ -197,7 +197,7 @@ MUTANTS = {
       ),
     ],
   ),
-  'datagen/dominant.py': (
+  'datagen/geometry/dominant.py': (
     'test_dominant test_voxelize',
     [
       ('order = np.lexsort((total[:, 3], voxel))', 'order = np.lexsort((-total[:, 3], voxel))'),
@@ -209,7 +209,7 @@ MUTANTS = {
       ('return voxel, total[:, :3] / total[:, 3:]', 'return voxel, total[:, 2::-1] / total[:, 3:]'),
     ],
   ),
-  'datagen/flow.py': (
+  'datagen/geometry/flow.py': (
     'test_flow',
     [
       ('size = np.array(depth.shape[:0:-1])', 'size = np.array(depth.shape[1:])'),

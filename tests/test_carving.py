@@ -127,7 +127,7 @@ def test_the_mirrored_view_carves_the_mirrored_shape(masks):
 
 
 def test_other_arrays_are_refused():
-  with pytest.raises(ValueError, match='are due'):
+  with pytest.raises(ValueError, match='are needed'):
     carving.carve(np.zeros((1, 8, 8, 4)), np.zeros((1, 16, 16), bool))
-  with pytest.raises(ValueError, match='are due'):
+  with pytest.raises(ValueError, match='are needed'):
     carving.carve(np.zeros((2, 8, 8, 8)), np.zeros((1, 16, 16), bool))

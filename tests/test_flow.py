@@ -7,10 +7,10 @@ from cvn.camera import AZIMUTHS, camera_at, project
 from cvn.data import composite
 from cvn.grid import index_to_world
 from cvn.sampler import bilinear, nearest
-from datagen.flow import sampling_error, target_flows
-from datagen.mesh import TexturedMesh
-from datagen.render import render
-from datagen.voxelize import voxelize
+from datagen.geometry.flow import sampling_error, target_flows
+from datagen.geometry.mesh import TexturedMesh
+from datagen.geometry.render import render
+from datagen.geometry.voxelize import voxelize
 
 COLORS = np.array(
   [[0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.1, 0.1, 0.9], [0.9, 0.9, 0.1], [0.9, 0.1, 0.9], [0.1] * 3]

@@ -10,8 +10,8 @@ from solids import textured
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, index_to_world
 from datagen.benchmark import lumpy_ball
-from datagen.mesh import TexturedMesh, normalize
-from datagen.voxelize import voxelize
+from datagen.geometry.mesh import TexturedMesh, normalize
+from datagen.geometry.voxelize import voxelize
 
 FAR = 0.5  # voxels: no occupied centre is farther from the surface
 NEAR = 0.5 / np.sqrt(3)  # every centre nearer than this is occupied
@@ -65,6 +65,21 @@ def test_tilted_box_lies_within_its_stated_distances(seed):
   grid = occupied(box)
   assert distance[grid].max() <= FAR + SLACK
   assert grid[distance <= NEAR - SLACK].all()
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_face_without_height_is_its_edge(seed):
+  """Occupied is every centre within half a voxel, whichever way the needle points."""
+  rng = np.random.default_rng(seed)
+  start, end = rng.uniform(-0.4, 0.4, (2, 3))
+  across = np.cross(end - start, rng.standard_normal(3))
+  apex = (start + end) / 2 + 1e-9 * across / np.linalg.norm(across)
+  along = end - start
+  t = np.clip((CENTERS - start) @ along / (along @ along), 0, 1)
+  distance = np.linalg.norm(CENTERS - start - t[..., None] * along, axis=-1) * GRID_SIZE
+  grid = occupied(trimesh.Trimesh([start, end, apex], [[0, 1, 2]], process=False))
+  assert distance[grid].max() <= np.sqrt(0.5) + SLACK  # of a rod, where no centre is as near
+  assert grid[distance <= FAR - SLACK].all()
 
 
 @pytest.mark.parametrize('cuts', [0, 3, 6])
@@ -165,6 +180,15 @@ def test_points_are_the_nearest_of_the_surface():
   assert far.max() <= FAR + SLACK
   # Next to an edge it may be the edge's point, by which alone the voxel is occupied.
   assert (far - least < SLACK).mean() > 0.98
+
+
+def test_points_of_a_thin_rod_are_beside_their_voxels():
+  """A rod between the centres of four rows of voxels, which no centre is within half a voxel of."""
+  side = 0.02 / GRID_SIZE
+  voxels = voxelize(textured(trimesh.creation.box((side, side, 0.9))))
+  center = index_to_world(voxels.index.astype(float))
+  far = np.linalg.norm(voxels.point - center, axis=-1) * GRID_SIZE
+  assert far.max() <= np.sqrt(0.5) + SLACK
 
 
 def test_subdividing_faces_changes_colors_little():
@@ -324,7 +348,7 @@ def test_chunks_do_not_change_the_result(monkeypatch):
   knot.visual.vertex_colors = np.column_stack([knot.vertices + 0.5, np.ones(len(knot.vertices))])
   mesh = textured(knot)
   index, color, _ = voxelize(mesh)
-  monkeypatch.setattr('datagen.voxelize.CHUNK', 1000)
+  monkeypatch.setattr('datagen.geometry.voxelize.CHUNK', 1000)
   other_index, other_color, _ = voxelize(mesh)
   np.testing.assert_array_equal(index, other_index)
   assert np.abs(color.astype(int) - other_color).max() <= 3
