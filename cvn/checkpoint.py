@@ -27,7 +27,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-NOT_COMPARED = ('data',)  # the place of the data set, which is identified by its digest
+NOT_COMPARED = ('data', 'categories')  # the data set is identified by its digest
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:

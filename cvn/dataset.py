@@ -225,6 +225,21 @@ def open_arrays(root: str) -> dict[str, ts.TensorStore]:
     raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
 
 
+def check_size(arrays: dict[str, ts.TensorStore], record: Record) -> None:
+  """Checks that a data set has room for a record.
+
+  Args:
+    arrays: of the data set, see `open_arrays`.
+    record: the model.
+
+  Raises:
+    UserError: the record has no voxel, or more than the data set's capacity.
+  """
+  count, capacity = len(record.surface_index), arrays['surface_index'].shape[1]
+  if not 0 < count <= capacity:
+    raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
+
+
 def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) -> None:
   """Writes one model; a reader sees it only once all of it is there.
 
@@ -234,12 +249,10 @@ def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) ->
     record: the model.
 
   Raises:
-    UserError: the record has no voxel or more than the data set's capacity, or the place cannot be
-      written (no space).
+    UserError: the record does not fit (`check_size`), or the place cannot be written (no space).
   """
+  check_size(arrays, record)
   count, capacity = len(record.surface_index), arrays['surface_index'].shape[1]
-  if not 0 < count <= capacity:
-    raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
 
   def padded(x, axis, fill):
     pad = [(0, 0)] * x.ndim

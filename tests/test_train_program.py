@@ -429,8 +429,10 @@ def test_validation_is_whole_batches_where_it_can_be(made):
 
 
 @pytest.mark.parametrize(('batch_size', 'devices'), [(60, 4), (6, 2), (7, 1)])
-def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices):
+def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices, capsys):
   put_batch, put_state = program.make_placement(batch_size)
+  message = capsys.readouterr().err
+  assert message == '' if devices == 4 else f'4 devices: {devices} of them are used' in message
   batch = data.ShapeBatch(np.zeros((batch_size, 2, 2, 3)), np.zeros((batch_size, 5, 3), int))
   placed = put_batch(batch)
   assert len(placed.image.devices()) == devices

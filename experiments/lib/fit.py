@@ -123,7 +123,14 @@ def fit(
 
 def make_placement(batch_size: int):
   """Functions that put parts of a batch, and a whole state, on as many devices as divide it."""
-  count = math.gcd(batch_size, jax.device_count())
+  there = jax.device_count()
+  count = math.gcd(batch_size, there)
+  if count < there:
+    print(
+      f'--batch_size={batch_size} does not divide over {there} devices: {count} of them are used;'
+      f' a multiple of {there} uses all',
+      file=sys.stderr,
+    )
   mesh = jax.make_mesh(
     (count,), ('batch',), axis_types=(AxisType.Auto,), devices=jax.devices()[:count]
   )
