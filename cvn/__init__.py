@@ -1,7 +1,7 @@
 """Colorful Voxel Network: one image in, a coloured 3D model out.
 
   conventions   grid (voxels), camera (views), errors, files
-  mathematics   sampler, blending, losses, metrics, carving, lifting, boundary
+  mathematics   sampler, blending, losses, metrics, carving, boundary
   networks      networks, layers, surface (heads at surface voxels), ops (the layers' operations)
   training      recipe, objectives, train, checkpoint
   data          dataset (on disk), data (batches), augment
@@ -35,7 +35,6 @@ __all__ = (
   'grid',
   'infer',
   'layers',
-  'lifting',
   'losses',
   'metrics',
   'networks',
