@@ -96,11 +96,7 @@ def read_config(workdir: str) -> dict[str, Any]:
 
 def latest_step(workdir: str) -> int | None:
   """The step of the newest checkpoint, None where there is none yet."""
-  try:
-    names = os.listdir(os.path.join(workdir, 'checkpoints'))
-  except OSError:
-    return None
-  return max((int(n) for n in names if n.isdecimal()), default=None)
+  return max(_steps(workdir), default=None)
 
 
 def save(workdir: str, state, progress: dict[str, Any]) -> None:
@@ -131,19 +127,19 @@ def save(workdir: str, state, progress: dict[str, Any]) -> None:
     raise UserError(f'cannot write a checkpoint to {checkpoints}: {_reason(e)}') from e
 
 
-def restore(workdir: str, template) -> tuple[Any, dict[str, Any]] | None:
+def restore(
+  workdir: str, template, *, last_good: bool = False
+) -> tuple[Any, dict[str, Any]] | None:
   """The state and the progress of the newest checkpoint; None where there is none yet.
 
   Args:
     workdir: the run's folder.
     template: a TrainState of the same structure, shapes and shardings as the result's.
+    last_good: whether to take an older checkpoint if the newest is damaged; a line says so.
 
   Raises:
     UserError: the checkpoint is damaged.
   """
-  step = latest_step(workdir)
-  if step is None:
-    return None
 
   def as_abstract(x):
     return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding)
@@ -156,7 +152,16 @@ def restore(workdir: str, template) -> tuple[Any, dict[str, Any]] | None:
       loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
     return template._replace(**loaded), progress
 
-  return _load(workdir, step, load)
+  steps = sorted(_steps(workdir))
+  while steps:
+    step = steps.pop()
+    try:
+      return _load(workdir, step, load)
+    except UserError as e:
+      if not (last_good and steps):
+        raise
+      logging.warning('%s; training continues from step %d', e, steps[-1])
+  return None
 
 
 def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -189,6 +194,15 @@ def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, A
   return config, _load(workdir, step, load)
 
 
+def _steps(workdir: str) -> list[int]:
+  """The steps of all checkpoints."""
+  try:
+    names = os.listdir(os.path.join(workdir, 'checkpoints'))
+  except OSError:
+    return []
+  return [int(n) for n in names if n.isdecimal()]
+
+
 def _show(name: str, config: Mapping[str, Any]) -> Any:
   """A field's value; a data set's digest with the place where the data set lay."""
   value = config.get(name)
@@ -209,7 +223,8 @@ def _load(workdir, step, load):
       return load(path)
   except Exception as e:  # damage shows in as many ways as there are files
     raise UserError(
-      f'the checkpoint {path} is damaged ({_reason(e)}): remove it to go back to the one before'
+      f'the checkpoint {path} is damaged ({_reason(e)}): --restore=last_good trains on from the one'
+      ' before'
     ) from e
 
 

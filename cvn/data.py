@@ -152,6 +152,12 @@ def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
   )
 
 
+def read_name(dataset: Dataset, row: int, view: int, *, slots: int) -> str:
+  """An element's model and azimuth; batches of them say what is in those of `read_color`."""
+  del slots
+  return f'{dataset.manifest.models[row].id} at {dataset.manifest.azimuths[view]:g}'
+
+
 def training_batches(
   read: Callable,
   dataset: Dataset,

@@ -10,6 +10,7 @@ first. If one of them dies the others end, too, and the same command goes on fro
 
 import contextlib
 import hashlib
+import itertools
 import os
 import sys
 import traceback
@@ -18,10 +19,15 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax._src import distributed  # the coordination service has no public name
 from jax.experimental import multihost_utils
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from cvn.errors import UserError
+
+TIMEOUT_MS = 3_600_000  # for other processes; one that died ends all of them much earlier
+
+_calls = itertools.count()  # the same in all processes, which call in the same order
 
 
 class Placement(NamedTuple):
@@ -69,18 +75,23 @@ def is_first() -> bool:
   return jax.process_index() == 0
 
 
-def local_batch(batch_size: int) -> int:
+def local_batch(batch_size: int, *, parts: int = 1) -> int:
   """How many elements of a batch this process reads.
+
+  Args:
+    batch_size: elements in a batch of all processes.
+    parts: of it that are computed one after the other.
 
   Raises:
     UserError: the batch does not divide.
   """
-  devices = jax.device_count()
-  if batch_size % devices:
-    low, high = batch_size // devices * devices, -(-batch_size // devices) * devices
+  devices, multiple = jax.device_count(), jax.device_count() * parts
+  if batch_size % multiple:
+    low, high = batch_size // multiple * multiple, -(-batch_size // multiple) * multiple
     sizes = f'{low} or {high}' if low else str(high)
+    times = f' and {parts} parts' if parts > 1 else ''
     raise UserError(
-      f'a batch of {batch_size} cannot be spread evenly over {devices} devices: take'
+      f'a batch of {batch_size} cannot be spread evenly over {devices} devices{times}: take'
       f' --batch_size={sizes}'
     )
   return batch_size // devices * jax.local_device_count()
@@ -113,21 +124,29 @@ def local(tree: Any) -> Any:
   return jax.tree.map(lambda x: x.addressable_data(0), tree)
 
 
-def wait_for_all(name: str) -> None:
-  """Returns when every process has come here; `name` is the same for all."""
-  broadcast(name)
+def wait_for_all() -> None:
+  """Returns when every process has come here.
+
+  Processes wait on JAX's coordination service. In a collective of Gloo they would not wait longer
+  than 30 s, as for a process that still compiles or draws.
+  """
+  if jax.process_count() > 1:
+    _client().wait_at_barrier(f'cvn/{next(_calls)}', TIMEOUT_MS)
 
 
 def broadcast(text: str) -> str:
-  """The first process's text, in all of them."""
+  """The first process's text, in all of them; what the others give is dropped."""
   if jax.process_count() == 1:
     return text
-  content = np.frombuffer(text.encode(), np.uint8)
-  # All-reduce alone: it is the one collective of Gloo that has never been seen wrong.
-  size = int(multihost_utils.broadcast_one_to_all(np.int32(len(content))))
-  padded = np.zeros(size, np.uint8)
-  padded[: min(size, len(content))] = content[:size]
-  return bytes(multihost_utils.broadcast_one_to_all(padded)).decode()
+  key = f'cvn/{next(_calls)}'
+  if is_first():
+    _client().key_value_set(key, text)
+  return _client().blocking_key_value_get(key, TIMEOUT_MS)
+
+
+def agree(wish: bool) -> bool:
+  """The first process's wish, in all of them."""
+  return broadcast(str(int(wish))) == '1'
 
 
 def check_equal(tree: Any, what: str) -> None:
@@ -167,6 +186,15 @@ def must_stop(caught: list[int], step: int) -> bool:
   return multihost_utils.reached_preemption_sync_point(step)
 
 
+def compile_for_all(function: Any, *arrays: Any) -> Any:
+  """A jitted function for these arrays, compiled when this returns in every process."""
+  if jax.process_count() == 1:
+    return function
+  compiled = function.lower(*arrays).compile()
+  wait_for_all()
+  return compiled
+
+
 @contextlib.contextmanager
 def die_together() -> Iterator[None]:
   """Ends this process at once if the body raises, so that the others do not wait for it.
@@ -185,3 +213,7 @@ def die_together() -> Iterator[None]:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(1)
+
+
+def _client():
+  return distributed.global_state.client

@@ -17,6 +17,8 @@ from cvn import data, losses, sampler, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.grid import GRID_SIZE, PADDING_INDEX
+from cvn.networks import NETWORKS
+from cvn.objectives import OBJECTIVES
 from cvn.ops import deconv
 from cvn.ops.normalization import ELU
 from cvn.recipe import PAPER
@@ -51,8 +53,8 @@ def draw_batch(seed):
 def trained(kind):
   """A state whose statistics are those of batches, as of a trained network, made on the CPU."""
   with jax.default_device(devices()[0]):
-    state = train.create_state(jax.random.key(3), kind)
-    renew = train.make_statistics(kind)
+    state = train.create_state(jax.random.key(3), NETWORKS[kind]())
+    renew = train.make_recalibration(NETWORKS[kind]())
     return jax.tree.map(np.asarray, renew(state, [draw_batch(0), draw_batch(1)]))
 
 
@@ -76,8 +78,8 @@ def difference(got, want):
 @pytest.mark.parametrize('precision, tolerance', [('highest', 1e-4), ('default', 2e-2)])
 @pytest.mark.parametrize('kind', ['shape', 'color'])
 def test_outputs_and_metrics(kind, precision, tolerance):
-  state, batch, network = trained(kind), draw_batch(2), train.NETWORKS[kind]
-  evaluate = train.make_eval(kind, PAPER)
+  state, batch, network = trained(kind), draw_batch(2), NETWORKS[kind]()
+  evaluate = train.make_eval(network, OBJECTIVES[kind], PAPER)
 
   def outputs(state, batch):
     variables = {'params': state.params, 'batch_stats': state.batch_stats}
@@ -96,10 +98,10 @@ def test_outputs_and_metrics(kind, precision, tolerance):
 @pytest.mark.parametrize('precision, tolerance', [('highest', 2e-3), ('default', 1e-1)])
 @pytest.mark.parametrize('kind', ['shape', 'color'])
 def test_gradients_of_all_parameters(kind, precision, tolerance):
-  step = train.make_step(kind, PAPER)
+  step = train.make_step(NETWORKS[kind](), OBJECTIVES[kind], PAPER)
 
   def gradient(state, batch):
-    return step(state, batch)[0].opt_state.mu  # a tenth of it, after the first step
+    return step(state, batch)[0].opt_state[0].mu  # a tenth of it, after the first step
 
   cpu, accelerator = on_both(gradient, trained(kind), draw_batch(2), precision=precision)
   flat = [np.concatenate([x.ravel() for x in jax.tree.leaves(g)]) for g in (cpu, accelerator)]

@@ -16,7 +16,6 @@ as text, which tell what these operations are.
 """
 
 import contextlib
-import functools
 import importlib
 import itertools
 import json
@@ -32,9 +31,12 @@ from typing import Any, NamedTuple
 import jax
 from absl import flags
 
-from cvn import environment, errors, train
+from cvn import errors, train
 from cvn.files import atomic_write
+from cvn.networks import NETWORKS
+from cvn.objectives import OBJECTIVES
 from cvn.recipe import PAPER
+from experiments.lib import cli
 from experiments.perf import measuring, profiling, texts
 from experiments.perf.texts import say, show, spread, tell
 
@@ -71,7 +73,6 @@ class Program(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
   own = {'flag_values': f}
   flags.DEFINE_enum('network', 'both', [*KINDS, 'both'], 'Which network to train.', **own)
   flags.DEFINE_list('batch_size', ['60', '256'], 'Views in a step; one size or several.', **own)
@@ -88,8 +89,8 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.register_validator('dtype', lambda v: v and set(v) <= {*DTYPES}, f'of {DTYPES}', f)
 
 
-def main(_) -> None:
-  f = flags.FLAGS
+@cli.program(define_flags, computes=False)
+def main(f: flags.FlagValues) -> None:
   kinds = KINDS if f.network == 'both' else [f.network]
   groups = [[Combination(k, int(n), d) for k in kinds] for n in f.batch_size for d in f.dtype]
   end = time.monotonic() + f.seconds if f.seconds else math.inf
@@ -168,8 +169,9 @@ def compile_step(combination: Combination) -> Program:
   """Compiles a training step for shapes alone."""
   kind, batch_size, dtype = combination
   start = time.perf_counter()
-  state = jax.eval_shape(functools.partial(train.create_state, kind=kind), jax.random.key(0))
-  step = train.make_step(kind, PAPER, mixed=dtype == 'mixed')
+  network = NETWORKS[kind](mixed=dtype == 'mixed')
+  state = jax.eval_shape(lambda: train.create_state(jax.random.key(0), network))
+  step = train.make_step(network, OBJECTIVES[kind], PAPER)
   batch = jax.eval_shape(lambda: measuring.make_batch(batch_size))
   with jax.default_matmul_precision(PRECISIONS[dtype]):
     compiled = step.lower(state, batch).compile()
@@ -240,7 +242,8 @@ def profile_steps(step: Callable, kind: str, batch_size: int) -> list[dict[str, 
 
 def run_steps(step: Callable, kind: str, batch_size: int) -> Iterator[None]:
   """Takes a step at each `next`, and waits for its end."""
-  state, batch = train.create_state(jax.random.key(0), kind), measuring.make_batch(batch_size)
+  state = train.create_state(jax.random.key(0), NETWORKS[kind]())
+  batch = measuring.make_batch(batch_size)
   jax.block_until_ready((state, batch))
   while True:
     state, _ = jax.block_until_ready(step(state, batch))
@@ -284,6 +287,4 @@ def format_results(training: Sequence[dict[str, Any]]) -> str:
 
 if __name__ == '__main__':
   os.environ.setdefault('XLA_PYTHON_CLIENT_PREALLOCATE', 'false')  # PyTorch is on the card, too
-  environment.keep_memory()
-  define_flags(flags.FLAGS)
-  errors.run(main)
+  main()
