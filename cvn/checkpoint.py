@@ -14,6 +14,7 @@ and the step that follows donates the buffers it would be read from.
 import contextlib
 import json
 import os
+import shutil
 from collections.abc import Mapping
 from typing import Any
 
@@ -135,7 +136,8 @@ def restore(
   Args:
     workdir: the run's folder.
     template: a TrainState of the same structure, shapes and shardings as the result's.
-    last_good: whether to take an older checkpoint if the newest is damaged; a line says so.
+    last_good: whether to take an older checkpoint if the newest is damaged. The damaged one is
+      moved to WORKDIR/damaged-<step>, and a line says so.
 
   Raises:
     UserError: the checkpoint is damaged.
@@ -161,6 +163,8 @@ def restore(
       if not (last_good and steps):
         raise
       logging.warning('%s; training continues from step %d', e, steps[-1])
+      if jax.process_index() == 0:
+        _move_aside(workdir, step)
   return None
 
 
@@ -201,6 +205,16 @@ def _steps(workdir: str) -> list[int]:
   except OSError:
     return []
   return [int(n) for n in names if n.isdecimal()]
+
+
+def _move_aside(workdir: str, step: int) -> None:
+  """Makes room for a new checkpoint of a step whose old one is damaged."""
+  aside = os.path.join(workdir, f'damaged-{step}')
+  try:
+    shutil.rmtree(aside, ignore_errors=True)  # of a training that came here before
+    os.rename(os.path.join(workdir, 'checkpoints', str(step)), aside)
+  except OSError as e:
+    raise UserError(f'cannot move the damaged checkpoint to {aside}: {e.strerror}') from e
 
 
 def _show(name: str, config: Mapping[str, Any]) -> Any:

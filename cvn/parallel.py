@@ -121,7 +121,7 @@ def put_whole(placement: Placement, tree: Any) -> Any:
 
 def local(tree: Any) -> Any:
   """This process's own copy of arrays that are the same on every device."""
-  return jax.tree.map(lambda x: x.addressable_data(0), tree)
+  return jax.tree.map(lambda x: x.addressable_data(0) if isinstance(x, jax.Array) else x, tree)
 
 
 def wait_for_all() -> None:

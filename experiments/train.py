@@ -16,7 +16,6 @@ A batch is spread over all devices of all processes: docs/scaling.md says how to
 
 import contextlib
 import functools
-import json
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -84,8 +83,9 @@ def run(s: Settings, *, last_good: bool = False, replay: bool = False) -> int:
     )
     for of_one, drawn in ((read, options), (data.read_name, {'seed': s.seed}))
   )
-  s = agree_on_programs(s)
-  network = NETWORKS[s.network](dataset.manifest.image_size, dataset.manifest.grid_size)
+  s = agree_on_type(s)
+  m, implementation = dataset.manifest, agree_on_implementation(s.dtype)
+  network = NETWORKS[s.network](m.image_size, m.grid_size, implementation=implementation)
   step = make_step(s, network, recipe, s.epochs * len(batches) * s.batch_size)
   evaluate = train.make_eval(network, OBJECTIVES[s.network], recipe)
   if replay:
@@ -156,28 +156,36 @@ def enter(s: Settings, config: dict[str, Any]) -> Iterator[None]:
     yield
 
 
-def agree_on_programs(s: Settings) -> Settings:
-  """Makes all processes compute with the same programs; the settings with a type that all have.
+def agree_on_type(s: Settings) -> Settings:
+  """The settings with a type in place of --dtype=auto, the first process's choice."""
+  s = resolve_dtype(s) if parallel.is_first() else s
+  return s._replace(dtype=parallel.broadcast(s.dtype))
 
-  Kernels are compiled here, before any process waits in a collective for one that compiles.
+
+def agree_on_implementation(dtype: str) -> str:
+  """The implementation of all layers: 'auto' in one process or on accelerators.
+
+  Several processes must compute with the same programs, but each would choose kernels by its own
+  timings. So all take kernels, if they win everywhere in the first process, or none. Kernels are
+  compiled here, before any process waits in a collective for one that compiles.
+
+  Args:
+    dtype: 'float32' or 'mixed'.
 
   Raises:
-    UserError: this process has no compiled kernels and the first one has some, or the other way.
+    UserError: the first process has compiled kernels, and this one has none.
   """
-  s = resolve_dtype(s) if parallel.is_first() else s
-  s = s._replace(dtype=parallel.broadcast(s.dtype))
-  if jax.default_backend() == 'cpu':
-    found = native.library()
-    told = json.dumps(found and [found.instruction_set, found.timings])
-    first = json.loads(parallel.broadcast(told))
-    if (first is None) != (found is None) or (found and first[0] != found.instruction_set):
-      raise UserError(
-        f'process {jax.process_index()} has kernels {found and found.instruction_set}, process 0'
-        f' {first and first[0]}: set CVN_KERNELS or CVN_TARGET to the same on all machines'
-      )
-    if found:
-      native.use(found._replace(timings=first[1]))
-  return s
+  if jax.process_count() == 1 or jax.default_backend() != 'cpu':
+    return 'auto'
+  operations = ('deconv', 'conv', 'conv2d', 'activated')
+  win = native.available() and all(native.wins(o, mixed=dtype == 'mixed') for o in operations)
+  chosen = parallel.broadcast('kernels' if win else 'xla')
+  if chosen == 'kernels' and not native.available():
+    raise UserError(
+      f'process {jax.process_index()} has no compiled kernels ({native.missing()}), but process 0'
+      ' has: set CVN_KERNELS=off on all machines, or install a C++ compiler on this one'
+    )
+  return chosen
 
 
 def share_views(

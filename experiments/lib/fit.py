@@ -74,6 +74,10 @@ def fit(
     iterator.set_state(progress['iterator'])
     window = progress['window']
   at = first = int(state.step)
+  if parallel.broadcast(str(at)) != str(at):
+    raise UserError(
+      f'process {jax.process_index()} cannot read the checkpoint that process 0 reads'
+    )
   total = epochs * len(batches)
   is_first, stopped, saved_at = parallel.is_first(), False, time.monotonic()
   with (

@@ -45,7 +45,7 @@ def write(workdir: str, settings: Mapping[str, Any], step: int) -> None:
   path = os.path.join(workdir, NAME)
   try:
     with open(path, 'a') as f:
-      f.write(json.dumps(line) + '\\n')
+      f.write(json.dumps(line) + '\n')
   except OSError as e:
     raise UserError(f'cannot write {path}: {e.strerror}') from e
 
@@ -61,7 +61,7 @@ def last_settings(workdir: str) -> dict[str, Any]:
   path = os.path.join(workdir, NAME)
   try:
     with open(path) as f:
-      lines = f.read().split('\\n')[:-1]
+      lines = f.read().split('\n')[:-1]
     return json.loads(lines[-1])['settings'] if lines else {}
   except (FileNotFoundError, NotADirectoryError):
     return {}
