@@ -14,7 +14,7 @@ import itertools
 import os
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -97,9 +97,10 @@ def local_batch(batch_size: int, *, parts: int = 1) -> int:
   return batch_size // devices * jax.local_device_count()
 
 
-def make_placement() -> Placement:
-  """All devices of all processes, as one axis."""
-  mesh = jax.make_mesh((jax.device_count(),), ('batch',), axis_types=(AxisType.Auto,))
+def make_placement(devices: Sequence[jax.Device] | None = None) -> Placement:
+  """Spreads batches over devices, all of those of all processes by default."""
+  devices = jax.devices() if devices is None else devices
+  mesh = jax.make_mesh((len(devices),), ('batch',), axis_types=(AxisType.Auto,), devices=devices)
   return Placement(
     NamedSharding(mesh, PartitionSpec('batch')), NamedSharding(mesh, PartitionSpec())
   )
