@@ -18,6 +18,9 @@ def blend(sampled: jax.Array, regressed: jax.Array, weight: jax.Array) -> jax.Ar
     sampled: [..., 3].
     regressed: [..., 3].
     weight: [..., 1].
+
+  Raises:
+    ValueError: the shapes do not fit.
   """
   if weight.shape != (*sampled.shape[:-1], 1) or regressed.shape != sampled.shape:
     raise ValueError(
@@ -26,11 +29,14 @@ def blend(sampled: jax.Array, regressed: jax.Array, weight: jax.Array) -> jax.Ar
   return weight * sampled + (1 - weight) * regressed
 
 
-def recalculate_weight(weight: jax.Array, alpha: float = ALPHA) -> jax.Array:
+def recalculate_weight(weight: jax.Array, *, alpha: float = ALPHA) -> jax.Array:
   """The test-time weight: w / alpha where w <= alpha, else 1 (section 3.5).
 
+  >>> recalculate_weight(jnp.array([0.1, 0.2, 0.9]), alpha=0.2)
+  Array([0.5, 1. , 1. ], dtype=float32)
+
   Args:
-    weight: [...] as estimated.
+    weight: [...] as estimated, the confidence of the sampled colour.
     alpha: in (0, 1]; 1 leaves the weight as it is, smaller ones favour the sampled colour.
 
   Raises:

@@ -45,8 +45,12 @@ def camera_at(azimuth: float, *, image_size: int = IMAGE_SIZE) -> Camera:
   return Camera(K, R, np.array([0.0, 0.0, DISTANCE]))
 
 
-def project(points, camera: Camera):
+def project(points: Any, camera: Camera) -> tuple[Any, Any]:
   """Projects world points through K [R T].
+
+  >>> pixel, depth = project(np.zeros(3), camera_at(0))  # the origin, in 128 x 128 pixels
+  >>> pixel.tolist(), float(depth)
+  ([64.0, 64.0], 2.0)
 
   Args:
     points: [..., 3] world coordinates, in front of the camera.

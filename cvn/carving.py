@@ -1,10 +1,10 @@
 """Space carving of an estimated shape by the silhouette of its view.
 
 A voxel that projects off the view's silhouette is empty, however sure the network is of it; and
-what lies on the silhouette must be somewhere along its ray, so a voxel's probability counts as a
-share of the largest one there. Which azimuth the view was taken from is not known; it is told from
-the shape itself: the better the silhouette of the estimate, seen from an azimuth, agrees with the
-view's, the likelier the azimuth. Beyond the paper, which uses the camera for the target flows alone
+some voxel along the ray of a silhouette's pixel must be occupied, so probabilities are relative to
+the largest one along their ray. The azimuth of the view is not known and is estimated from the
+shape: the better the silhouette of the estimate, seen from an azimuth, agrees with the view's, the
+likelier the azimuth. This goes beyond the paper, which uses the camera for the target flows alone
 (section 3.3).
 """
 
@@ -21,28 +21,31 @@ from cvn.metrics import OCCUPIED
 
 # How fast an azimuth's weight falls with the IoU of its silhouette, chosen on a validation split.
 SHARPNESS = 30.0
-# What the likeliest azimuth alone leaves is kept with this share: thin parts, on which azimuths
-# disagree, would be lost in the mean.
+# The result is at least this share of what the likeliest azimuth alone leaves: thin parts, on which
+# azimuths disagree, would be lost in the mean.
 LIKELIEST = 0.9
-# Rays along which nothing is likelier than this are not explained by the most likely voxel.
+# Floor on the largest probability along a ray: a ray with none above 0.5 is not normalised to 1.
 EVEN = 0.5
 
 
 @functools.partial(jax.jit, static_argnames='azimuths')
 def carve(
-  probability: Any, foreground: Any, azimuths: Sequence[float] = camera.AZIMUTHS
+  probability: Any, foreground: Any, *, azimuths: Sequence[float] = camera.AZIMUTHS
 ) -> jax.Array:
   """Occupancy [B, X, Y, Z] in [0, 1] that agrees with the silhouettes.
 
   Seen from an azimuth, a voxel that projects off the foreground has 0, any other its probability
-  over the largest one that projects to its pixel or those around; over 0.5 where that is less. The
-  result is the mean over the azimuths with `azimuth_weights` or, where that is more, 0.9 of what
-  the likeliest azimuth says.
+  divided by the largest one that projects to its pixel or the pixels around it, or by 0.5 if that
+  is more. The result is the mean over the azimuths, weighted by `azimuth_weights`, or 0.9 of the
+  likeliest azimuth's value if that is more.
 
   Args:
     probability: [B, X, Y, Z] of being occupied.
     foreground: [B, H, W] bool, square, of views with the camera of cvn.camera.
     azimuths: a tuple, degrees: those that the view may have been taken from.
+
+  Raises:
+    ValueError: the arrays do not fit.
   """
 
   def add(found, seen):
@@ -65,12 +68,20 @@ def carve(
 
 @functools.partial(jax.jit, static_argnames='azimuths')
 def azimuth_weights(
-  probability: Any, foreground: Any, azimuths: Sequence[float] = camera.AZIMUTHS
+  probability: Any, foreground: Any, *, azimuths: Sequence[float] = camera.AZIMUTHS
 ) -> jax.Array:
-  """How likely each azimuth is, [B, A], a softmax; arguments as of `carve`.
+  """How likely each azimuth is: a softmax over the azimuths' IoU of two silhouettes.
 
-  Of each azimuth counts the IoU of two silhouettes: the foreground, and that of the voxels with a
-  probability of at least 0.8 seen from there.
+  One is the foreground, the other that of the voxels with a probability of at least 0.8, seen from
+  the azimuth.
+
+  Args:
+    probability: [B, X, Y, Z] of being occupied.
+    foreground: [B, H, W] bool, square.
+    azimuths: a tuple, degrees.
+
+  Returns:
+    [B, A].
   """
   return _weigh(probability, foreground, _project(probability, foreground, azimuths)).T
 

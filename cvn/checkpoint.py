@@ -100,13 +100,13 @@ def latest_step(workdir: str) -> int | None:
   return max(_steps(workdir), default=None)
 
 
-def save(workdir: str, state, progress: dict[str, Any]) -> None:
+def save(workdir: str, state: Any, progress: dict[str, Any]) -> None:
   """Writes a checkpoint under the state's step, and removes all but the latest.
 
   Args:
     workdir: the run's folder.
     state: cvn.train.TrainState.
-    progress: JSON values the run keeps beside the state, such as the data iterator's state.
+    progress: JSON values that the run keeps beside the state, such as the data iterator's state.
 
   Raises:
     UserError: the checkpoint cannot be written.
@@ -129,7 +129,7 @@ def save(workdir: str, state, progress: dict[str, Any]) -> None:
 
 
 def restore(
-  workdir: str, template, *, last_good: bool = False
+  workdir: str, template: Any, *, last_good: bool = False
 ) -> tuple[Any, dict[str, Any]] | None:
   """The state and the progress of the newest checkpoint; None where there is none yet.
 

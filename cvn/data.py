@@ -1,12 +1,12 @@
 """From the data set on disk to batches: a Grain pipeline with sparse targets.
 
 An element is one view of one model. Surfaces are lists of S voxels, where S is one number for the
-whole data set (`surface_slots`), so that a compiled step meets one shape. Batching adds an axis in
+whole data set (`surface_slots`), so that a step is compiled for one shape. Batching adds an axis in
 front. Reading an element touches one view's chunks, not the twelve.
 
-Elements are read, turned and batched in the bytes that are on disk; `decode` makes of a batch what
-a network is trained on, in the compiled step. So the host has a quarter of the bytes to move, and
-threads that read take less of the processors that compute.
+Elements are read, augmented (cvn.augment) and batched in the bytes that are on disk; `decode` turns
+a batch into what a network is trained on, within the compiled step. That quarters the traffic from
+host to device and leaves more CPU time for compute.
 
   as stored                                      decoded
   image  [H, W, 4] u8, sRGB and straight alpha   [H, W, 3] float32 sRGB in [0, 1], on plain grey
@@ -27,8 +27,8 @@ from typing import Any, NamedTuple
 import grain
 import numpy as np
 
+from cvn import augment
 from cvn import dataset as dataset_lib
-from cvn import grid
 from cvn.dataset import Dataset
 from cvn.errors import UserError
 
@@ -53,11 +53,18 @@ class ShapeBatch(NamedTuple):
 
 
 def select_rows(
-  dataset: Dataset, split: str, categories: Sequence[str] = (), sources: Sequence[str] = ()
+  dataset: Dataset, split: str, *, categories: Sequence[str] = (), sources: Sequence[str] = ()
 ) -> np.ndarray:
-  """Rows [N] of the finished models of a split; of the categories and sources named, or of all.
+  """The rows of the finished models of a split.
 
-  The result may be empty where the split holds no finished model.
+  Args:
+    dataset: the open data set.
+    split: 'train', 'val' or 'test'.
+    categories: of the models; empty for all.
+    sources: of the models; empty for all.
+
+  Returns:
+    [N] int64, empty if the split holds no finished model.
 
   Raises:
     UserError: the data set has no such split, category or source.
@@ -94,26 +101,34 @@ def surface_slots(dataset: Dataset) -> int:
   return min(-(-most // SLOT_MULTIPLE) * SLOT_MULTIPLE, dataset.manifest.capacity)
 
 
-def composite(rgba: Any, background: float = GREY) -> Any:
-  """[..., 4] sRGB and straight alpha, u8 or in [0, 1], over grey -> [..., 3] in [0, 1]."""
+def composite(rgba: Any, *, background: float = GREY) -> Any:
+  """An image over a plain grey background.
+
+  Args:
+    rgba: [..., 4] sRGB and straight alpha, uint8 or float in [0, 1].
+    background: grey level in [0, 1].
+
+  Returns:
+    [..., 3] float in [0, 1].
+  """
   if rgba.dtype == np.uint8:
     rgba = rgba.astype(np.float32) / 255
   alpha = rgba[..., 3:]
   return rgba[..., :3] * alpha + background * (1 - alpha)
 
 
-def decode(batch: Any, background: float = GREY) -> Any:
+def decode(batch: Any) -> Any:
   """A `Batch` or `ShapeBatch`, or an element of one, as a network is trained on it.
 
   Args:
-    batch: as stored, of NumPy or JAX; what is decoded already comes back as it is.
-    background: grey level in [0, 1] behind the object.
+    batch: as stored, of NumPy or JAX; a decoded one is returned as it is.
+
+  Returns:
+    A batch of the same type, on the grey background.
   """
   if batch.image.dtype != np.uint8:
     return batch
-  batch = batch._replace(
-    image=composite(batch.image, background), index=batch.index.astype(np.int32)
-  )
+  batch = batch._replace(image=composite(batch.image), index=batch.index.astype(np.int32))
   if isinstance(batch, ShapeBatch):
     return batch
   return batch._replace(
@@ -123,6 +138,12 @@ def decode(batch: Any, background: float = GREY) -> Any:
 
 def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBatch:
   """One element of a `ShapeBatch`, as stored: its arrays without the batch axis.
+
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: of the model.
+    slots: S, see `surface_slots`.
 
   Raises:
     UserError: the model's files are damaged.
@@ -135,6 +156,12 @@ def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBat
 
 def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
   """One element of a `Batch`, as stored: its arrays without the batch axis.
+
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: of the model.
+    slots: S, see `surface_slots`.
 
   Raises:
     UserError: the model's files are damaged.
@@ -167,7 +194,6 @@ def training_batches(
   seed: int,
   mirror: bool = False,
   recolor: bool = False,
-  shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
 
@@ -180,20 +206,17 @@ def training_batches(
     rows: [N] models to train on.
     batch_size: elements of a batch of this process.
     seed: of order and views, 0 to 2^32 - 1.
-    mirror: whether a random half of the elements is mirrored, see `mirrored`.
-    recolor: whether every element is painted in other colours, see `recolored`.
-    shard: (process, processes): each process sees its own part of every epoch.
+    mirror: whether a random half of the elements is mirrored, see cvn.augment.
+    recolor: whether elements get random colours, see cvn.augment.
 
   Raises:
     UserError: there are fewer models than a batch needs.
   """
-  process, processes = shard
-  share = len(rows) // processes
-  if share < batch_size:
-    needed = f'{processes} processes of batch size' if processes > 1 else 'a batch of'
+  count = len(rows)
+  if count < batch_size:
     raise UserError(
-      f'{dataset.root} has {len(rows)} finished training models, too few for {needed} {batch_size}:'
-      + (f' make more of them, or take a batch size of at most {share}' if share else ' make more')
+      f'{dataset.root} has {count} finished training models, too few for a batch of {batch_size}:'
+      + (f' make more of them, or take a batch size of at most {count}' if count else ' make more')
     )
   views = len(dataset.manifest.azimuths)
 
@@ -201,86 +224,39 @@ def training_batches(
 
   def choose(row, rng: np.random.Generator):
     view = rng.integers(views)
-    return row, view, mirror and rng.integers(2), draw_paint(rng) if recolor else None
+    return row, view, mirror and rng.integers(2), augment.draw_colors(rng) if recolor else None
 
   def read_chosen(chosen):
-    row, view, flipped, paint = chosen
+    row, view, flipped, colors = chosen
     element = read_one((row, view))
     if flipped:
-      element = mirrored(element, dataset.manifest.grid_size)
-    return element if paint is None else recolored(element, *paint)
+      element = augment.mirrored(element, grid_size=dataset.manifest.grid_size)
+    if colors is None:
+      return element
+    order, ends = colors
+    return augment.recolored(element, order=order, ends=ends)
 
   return (
     grain.MapDataset.source([int(r) for r in rows])
     .seed(seed)
     .random_map(choose)  # before the shuffle: there its index is (epoch, element)
     .shuffle()
-    .slice(slice(process, share * processes, processes))
     .map(read_chosen)
     .batch(batch_size, drop_remainder=True)
   )
 
 
-def mirrored(element: Any, grid_size: int) -> Any:
-  """An element of the object's mirror image in x.
-
-  Turned over from left to right, the view from azimuth a is the mirrored object's view from -a.
+def evaluation_pairs(rows: Sequence[int], views: int, *, limit: int | None = None) -> np.ndarray:
+  """Pairs (row, view) to evaluate on, ordered by row.
 
   Args:
-    element: of a `Batch` or `ShapeBatch`, as stored, without the batch axis.
-    grid_size: of the data set.
+    rows: of the models.
+    views: of each model.
+    limit: the most pairs, which are spread evenly over all of them; None for all.
+
+  Returns:
+    [P, 2] int64.
   """
-  index = element.index.copy()
-  real = index[:, 0] != grid.PADDING_INDEX
-  index[real, 0] = grid_size - 1 - index[real, 0]
-  element = element._replace(image=np.ascontiguousarray(element.image[:, ::-1]), index=index)
-  if isinstance(element, ShapeBatch):
-    return element
-  flow = element.flow.copy()
-  flow[real, 0] = dataset_lib.encode_flow(1) - flow[real, 0]
-  return element._replace(flow=flow)
-
-
-def draw_paint(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-  """Other colours, at random: (order, ends) for `recolored`.
-
-  Red, green and blue change places. For one element in two each of them also runs between other
-  ends, at least 0.5 apart, rising or falling, so that all that could be told apart still can.
-  """
-  order = rng.permutation(3)
-  if rng.integers(2):
-    return order, np.array([[0.0, 1.0]] * 3)
-  low = rng.uniform(0, 0.5, 3)
-  ends = np.stack([low, rng.uniform(low + 0.5, 1)], 1)
-  return order, np.where(rng.integers(2, size=(3, 1)), ends, ends[:, ::-1])
-
-
-def recolored(element: Any, order: Sequence[int], ends: np.ndarray) -> Any:
-  """An element in other colours, the same in the picture and on the surface.
-
-  Views show albedo without light, so this is the object's view had it been painted so; the ground
-  is grey and stays it.
-
-  Args:
-    element: of a `Batch` or `ShapeBatch`, as stored, without the batch axis.
-    order: a permutation of (0, 1, 2): channel c becomes what channel order[c] was.
-    ends: [3, 2] in [0, 1], what 0 and 1 of each channel then become.
-  """
-  table = np.round(255 * np.linspace(*np.transpose(ends), 256)).astype(np.uint8)  # [256, 3]
-
-  def paint(colors):
-    return table[colors[..., order], np.arange(3)]
-
-  image = np.concatenate([paint(element.image[..., :3]), element.image[..., 3:]], -1)
-  element = element._replace(image=image)
-  if isinstance(element, ShapeBatch):
-    return element
-  real = element.index[:, :1] != grid.PADDING_INDEX
-  return element._replace(color=np.where(real, paint(element.color), 0))
-
-
-def evaluation_pairs(rows: Sequence[int], views: int, limit: int | None = None) -> np.ndarray:
-  """[P, 2] pairs (row, view): all of them by row, or `limit` spread evenly over the rows' views."""
   pairs = np.stack(np.meshgrid(rows, np.arange(views), indexing='ij'), -1).reshape(-1, 2)
   if limit is not None and limit < len(pairs):
     pairs = pairs[np.linspace(0, len(pairs) - 1, limit).round().astype(int)]
@@ -294,7 +270,14 @@ def evaluation_batches(
   *,
   batch_size: int,
 ) -> grain.MapDataset:
-  """Batches of the pairs [P, 2] in their order; the last one holds what is left over."""
+  """Batches of pairs in their order; the last one may be smaller.
+
+  Args:
+    read: `read_shape` or `read_color`.
+    dataset: the open data set.
+    pairs: [P, 2] (row, view), see `evaluation_pairs`.
+    batch_size: elements of a batch.
+  """
   return (
     grain.MapDataset.source([(int(row), int(view)) for row, view in pairs])
     .map(_reader(read, dataset))
@@ -302,10 +285,15 @@ def evaluation_batches(
   )
 
 
-def iterate(batches: grain.MapDataset, num_epochs: int | None = None) -> grain.DatasetIterator:
-  """Iterates over epochs of batches, without end where `num_epochs` is None; threads read ahead.
+def iterate(batches: grain.MapDataset, *, num_epochs: int | None = None) -> grain.DatasetIterator:
+  """Iterates over epochs of batches; threads read ahead.
 
-  `get_state()` of the result is JSON, and `set_state` continues there.
+  Args:
+    batches: of `training_batches` or `evaluation_batches`.
+    num_epochs: None for no end.
+
+  Returns:
+    An iterator. Its `get_state()` is JSON, and `set_state` continues from there.
   """
   threads = min(os.cpu_count() or 1, 8)
   options = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=threads)

@@ -81,7 +81,7 @@ class Facts(NamedTuple):
   faces: float = 0  # triangles with an area
   missing: float = 0  # files of textures and materials that are named but not there
   volume: float = 0  # signed, of its bounding box's: below 0 where faces look inwards
-  notes: float = 0  # bits of what its reader ignored or guessed (datagen/notes.py)
+  notes: float = 0  # bits of what its reader ignored or guessed (datagen/reading/notes.py)
 
 
 class Record(NamedTuple):
@@ -109,12 +109,12 @@ def to_url(root: str) -> str:
   return url.rstrip('/') + '/'
 
 
-def encode_flow(flow):
+def encode_flow(flow: Any) -> np.ndarray:
   """(u, v) in [0, 1] -> u16."""
   return np.round(np.clip(flow, 0, 1) * 65535).astype(np.uint16)
 
 
-def decode_flow(flow):
+def decode_flow(flow: Any) -> Any:
   """The inverse of `encode_flow`, as float32."""
   return flow.astype(np.float32) / 65535
 
@@ -229,6 +229,11 @@ def open_arrays(root: str) -> dict[str, ts.TensorStore]:
 def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) -> None:
   """Writes one model; a reader sees it only once all of it is there.
 
+  Args:
+    arrays: of the data set, see `open_arrays`.
+    row: of the model.
+    record: the model.
+
   Raises:
     UserError: the record has no voxel or more than the data set's capacity, or the place cannot be
       written (no space).
@@ -336,8 +341,12 @@ def digest(dataset: Dataset, rows: Sequence[int]) -> str:
   return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def read_json(root: str, name: str):
-  """A JSON file of the data set, or None where there is none."""
+def read_json(root: str, name: str) -> Any:
+  """A JSON file of the data set; None if there is none.
+
+  Raises:
+    UserError: it cannot be read.
+  """
   try:
     raw = ts.KvStore.open(to_url(root)).result().read(name).result()
     return json.loads(raw.value) if raw.state == 'value' else None
@@ -345,8 +354,17 @@ def read_json(root: str, name: str):
     raise UserError(f'cannot read {root}{name}: {_first_line(e)}') from e
 
 
-def write_json(root: str, name: str, value) -> None:
-  """Writes a JSON file of the data set, whole or not at all."""
+def write_json(root: str, name: str, value: Any) -> None:
+  """Writes a JSON file of the data set, whole or not at all.
+
+  Args:
+    root: of the data set.
+    name: of the file.
+    value: JSON values.
+
+  Raises:
+    UserError: it cannot be written.
+  """
   text = json.dumps(value, indent=1, sort_keys=True) + '\n'
   try:
     ts.KvStore.open(to_url(root)).result().write(name, text.encode()).result()

@@ -35,7 +35,7 @@ LINE_HEIGHT = 1.3  # of the font's size
 _TEXT_COLOR = (40, 40, 40)
 
 
-def flow_color_code(flow):
+def flow_color_code(flow: Any) -> Any:
   """The paper's colour code of a flow field (Figure "flow_field", a): one colour a (u, v).
 
   Args:
@@ -50,7 +50,7 @@ def flow_color_code(flow):
   return top * (1 - v) + bottom * v
 
 
-def weight_color_code(weight):
+def weight_color_code(weight: Any) -> np.ndarray:
   """Blend weights [...] in [0, 1] -> [..., 3]: yellow trusts the sampled colour, blue the other."""
   w = np.asarray(weight)[..., None]
   return WEIGHT_COLORS[0] * (1 - w) + WEIGHT_COLORS[1] * w
@@ -114,13 +114,13 @@ def draw_voxels(
   return to_uint8(image)
 
 
-def to_uint8(image) -> np.ndarray:
+def to_uint8(image: Any) -> np.ndarray:
   """Colours in [0, 1] -> 0 to 255, rounded."""
   return np.round(np.clip(np.asarray(image), 0, 1) * 255).astype(np.uint8)
 
 
-def over(image, background: Sequence[int] = WHITE) -> np.ndarray:
-  """A uint8 image [H, W, 3 or 4] on a plain ground: uint8 [H, W, 3]."""
+def over(image: Any, *, background: Sequence[int] = WHITE) -> np.ndarray:
+  """A uint8 image [H, W, 3 or 4] on a plain background: uint8 [H, W, 3]."""
   image = np.asarray(image)
   if image.shape[-1] == 3:
     return image
@@ -128,7 +128,7 @@ def over(image, background: Sequence[int] = WHITE) -> np.ndarray:
   return to_uint8((image[..., :3] * alpha + np.asarray(background) * (1 - alpha)) / 255)
 
 
-def enlarge(image, size: int) -> np.ndarray:
+def enlarge(image: Any, size: int) -> np.ndarray:
   """A uint8 image [H, W, 3 or 4] on white, size x size pixels, none of them smoothed."""
   return np.asarray(Image.fromarray(over(image)).resize((size, size), Image.Resampling.NEAREST))
 
@@ -214,7 +214,7 @@ def grid_of_images(
     uint8 [H, W, 3].
   """
   count = max([len(row) for row in rows] + [len(column_titles)])
-  cells = [[None if x is None else over(x, background) for x in row] for row in rows]
+  cells = [[None if x is None else over(x, background=background) for x in row] for row in rows]
   widths = [
     max([r[c].shape[1] for r in cells if c < len(r) and r[c] is not None] + [1])
     for c in range(count)

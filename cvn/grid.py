@@ -24,7 +24,7 @@ class ColoredVoxels(NamedTuple):
   color: Any  # [X, Y, Z, 3] float in [0, 1], sRGB
 
 
-def to_voxels(index, color, *, size: int = GRID_SIZE) -> ColoredVoxels:
+def to_voxels(index: Any, color: Any, *, size: int = GRID_SIZE) -> ColoredVoxels:
   """A list of surface voxels as volumes, black where empty.
 
   Args:
@@ -41,11 +41,15 @@ def to_voxels(index, color, *, size: int = GRID_SIZE) -> ColoredVoxels:
   return voxels
 
 
-def index_to_world(index, *, size: int = GRID_SIZE):
-  """Centres of voxels: [..., 3] integer indices -> [..., 3] world coordinates in [-0.5, 0.5]."""
-  return (index + 0.5) / size - 0.5
+def index_to_world(index: Any, *, size: int = GRID_SIZE) -> Any:
+  """Centres of voxels: [..., 3] integer indices -> [..., 3] world coordinates in [-0.5, 0.5].
+
+  >>> index_to_world(np.array([0, 32, 63]))
+  array([-0.4921875,  0.0078125,  0.4921875])
+  """
+  return (2 * index + 1) / (2 * size) - 0.5  # whole numbers as long as possible: no promotion
 
 
-def world_to_grid(points, *, size: int = GRID_SIZE):
+def world_to_grid(points: Any, *, size: int = GRID_SIZE) -> Any:
   """World coordinates [..., 3] -> continuous grid coordinates, where voxel i spans [i, i + 1)."""
   return (points + 0.5) * size

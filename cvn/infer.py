@@ -144,12 +144,13 @@ def reconstruct_alphas(
   if threshold is None:
     threshold = THRESHOLDS.get(shape_kind or color_kind, metrics.OCCUPIED)
 
-  passes = {id(n): _predict(n, batch, flip) for n in (shape, color) if n is not None}
+  networks = {id(n): n for n in (shape, color) if n is not None}
+  passes = {key: _predict(n, batch, flip) for key, n in networks.items()}
   probability = occupancy = None
   if shape is not None:
     probability = _mean([v.probability for v in passes[id(shape)]])
     if carve:
-      probability = carving.carve(probability, foreground, tuple(azimuths))
+      probability = carving.carve(probability, foreground, azimuths=tuple(azimuths))
     occupancy = probability >= threshold
   # The baseline's colours depend on the threshold of its own shapes (equation 9).
   own = threshold if shape_kind in (None, 'r2n2') else THRESHOLDS['r2n2']
@@ -228,7 +229,7 @@ def _combine(passes, alpha, threshold):
     color = sampled if first.regressed is None else regressed
     means = (None if x[0] is None else _mean(x) for x in (color, regressed, sampled, flow))
     return *means, None
-  weights = [blending.recalculate_weight(v.weight, alpha) for v in passes]
+  weights = [blending.recalculate_weight(v.weight, alpha=alpha) for v in passes]
   color = _mean([blending.blend(*x) for x in zip(sampled, regressed, weights, strict=True)])
   return (
     color,

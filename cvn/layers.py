@@ -19,7 +19,7 @@ from cvn.ops.normalization import (
   IDENTITY,
   Activation,
   activate,
-  affine,
+  activated,
   coefficients,
   moments,
   normalize,
@@ -61,7 +61,8 @@ class Norm(nn.Module):
   def __call__(self, x: jax.Array, bias: jax.Array, train: bool) -> jax.Array:
     gamma, beta, mean, variance = _norm_variables(self, x.shape[-1:])
     if not train:
-      return affine(x, mean.value - bias, variance.value, gamma, beta, self.activation)
+      scale, shift = coefficients(mean.value - bias, variance.value, gamma, beta)
+      return activated(x, scale, shift, self.activation)
     y, batch_mean, batch_variance = normalize(
       x, gamma, beta, self.activation, implementation=self.implementation
     )
@@ -81,7 +82,7 @@ class VolumeNorm(nn.Module):
     if not train:
       found = mean.value - bias, variance.value
     else:
-      found = moments(sums, x)
+      found = moments(sums, x.size // x.shape[-1])
       if not self.is_initializing():
         mean.value, variance.value = found[0] + bias, found[1]
     return PendingNorm(x, *coefficients(*found, gamma, beta), self.activation)

@@ -27,6 +27,10 @@ def msfcel(logits: jax.Array, occupancy: jax.Array) -> jax.Array:
   FPCE is the mean cross-entropy over all empty voxels of the batch, FNCE that over all occupied
   ones, as in the authors' program. A side without voxels contributes 0.
 
+  >>> loss = msfcel(jnp.zeros(4), jnp.array([True, False, False, False]))
+  >>> bool(jnp.isclose(loss, 2 * jnp.log(2) ** 2))
+  True
+
   Args:
     logits: [...] log odds of being occupied.
     occupancy: [...] bool, or 0 and 1.
@@ -54,6 +58,10 @@ def surface_l2(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax
 
   Its gradient is 0 where prediction and target are equal.
 
+  >>> prediction, target = jnp.array([[3.0, 4.0], [9.0, 9.0]]), jnp.zeros((2, 2))
+  >>> surface_l2(prediction, target, jnp.array([True, False]))
+  Array(5., dtype=float32)
+
   Args:
     prediction: [..., C].
     target: [..., C].
@@ -63,7 +71,7 @@ def surface_l2(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax
   # The inner where keeps the square root's infinite slope out of the gradient.
   positive = squared > 0
   distance = jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
-  return jnp.sum(distance) / jnp.maximum(jnp.sum(mask), 1)
+  return jnp.sum(distance) / _count(mask)
 
 
 def surface_l1(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax.Array:
@@ -79,7 +87,7 @@ def surface_l1(prediction: jax.Array, target: jax.Array, mask: jax.Array) -> jax
   difference = _masked_difference(prediction, target, mask)
   # Not jnp.abs: its slope at 0 is 1, and the authors' framework's, as the sign's, is 0.
   total = jnp.sum(difference * jnp.sign(difference))
-  return total / (jnp.maximum(jnp.sum(mask), 1) * target.shape[-1])
+  return total / (_count(mask) * target.shape[-1])
 
 
 def joint_l2(prediction: jax.Array, target: jax.Array) -> jax.Array:
@@ -136,7 +144,12 @@ def _masked_difference(prediction, target, mask):
 
 
 def _masked_mean(x, mask):
-  return jnp.sum(jnp.where(mask, x, 0)) / jnp.maximum(jnp.sum(mask), 1)
+  return jnp.sum(jnp.where(mask, x, 0)) / _count(mask)
+
+
+def _count(mask):
+  """How many are True, as a divisor: at least 1."""
+  return jnp.maximum(jnp.sum(mask), 1).astype(jnp.float32)
 
 
 def _check_same(prediction, target):

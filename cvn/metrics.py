@@ -27,8 +27,12 @@ class SurfacePsnr(NamedTuple):
   ycbcr: float
 
 
-def iou(predicted, true):
+def iou(predicted: Any, true: Any) -> Any:
   """Intersection over union of occupancies; 1 where both are empty. Takes numpy and jax arrays.
+
+  >>> half = np.arange(8).reshape(2, 2, 2) < 4
+  >>> float(iou(half, np.ones((2, 2, 2), bool)))
+  0.5
 
   Args:
     predicted: [..., X, Y, Z] bool.
@@ -36,13 +40,17 @@ def iou(predicted, true):
 
   Returns:
     [...].
+
+  Raises:
+    ValueError: the shapes differ.
   """
   if predicted.shape != true.shape:
     raise ValueError(f'predicted {predicted.shape} and true {true.shape} differ')
   volume = (-3, -2, -1)
   intersection = (predicted & true).sum(volume)
   union = (predicted | true).sum(volume)
-  return (intersection + (union == 0)) / (union + (union == 0))
+  both_empty = (union == 0).astype(union.dtype)
+  return (intersection + both_empty) / (union + both_empty)
 
 
 def iou_at(score: np.ndarray, true: np.ndarray, thresholds: Sequence[float]) -> np.ndarray:

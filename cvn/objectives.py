@@ -20,8 +20,18 @@ Objective = Callable[[Any, Any, Recipe, bool], tuple[jax.Array, dict[str, jax.Ar
 EMPTY = -0.5  # every channel of an empty voxel of the joint volume (section 4, competing methods)
 
 
-def shape(logits, batch, recipe, train):
-  """The recipe's loss of occupancy logits [B, X, Y, Z, 1]."""
+Result = tuple[jax.Array, dict[str, jax.Array]]  # (loss, metrics)
+
+
+def shape(logits: jax.Array, batch: Any, recipe: Recipe, train: bool) -> Result:
+  """The recipe's shape loss.
+
+  Args:
+    logits: [B, X, Y, Z, 1] of occupancy.
+    batch: decoded.
+    recipe: its shape loss is used.
+    train: whether in training; otherwise there is the IoU, too.
+  """
   logits, occupancy = logits[..., 0], _occupancy(batch.index, logits.shape[1:4])
   loss = recipe.shape_loss(logits, occupancy)
   if train:
@@ -30,19 +40,29 @@ def shape(logits, batch, recipe, train):
   return loss, {'iou': jnp.mean(found)}
 
 
-def color(volumes, batch, recipe, train):
-  """L_flow + L_clr_regress + L_blend of `ColorVolumes` (equation 8)."""
+def color(volumes: ColorVolumes, batch: Any, recipe: Recipe, train: bool) -> Result:
+  """L_flow + L_clr_regress + L_blend (equation 8); the metrics are the three terms.
+
+  Args:
+    volumes: of the colour network.
+    batch: decoded.
+    recipe: its sampler and surface distance are used.
+    train: does not matter.
+  """
   del train
-  # One gather for the three volumes; what it leaves out gets no gradient.
+  # One gather for the three volumes; voxels that it leaves out get no gradient.
   stacked, mask = _at_surface(jnp.concatenate(volumes, axis=-1), batch.index)
   return color_at_surface(ColorVolumes(*jnp.split(stacked, (3, 5), axis=-1)), batch, mask, recipe)
 
 
-def color_at_surface(volumes, batch, mask, recipe):
-  """The same of volumes that were computed at the surface voxels alone, [B, S, channels].
+def color_at_surface(volumes: ColorVolumes, batch: Any, mask: jax.Array, recipe: Recipe) -> Result:
+  """`color` for volumes that were computed at the surface voxels alone.
 
-  Returns:
-    (loss, its terms).
+  Args:
+    volumes: [B, S, channels] each.
+    batch: decoded.
+    mask: [B, S] bool, False where padded.
+    recipe: its sampler and surface distance are used.
   """
   regressed, flow, weight = volumes
   blended = blending.blend(recipe.sample(batch.image, flow), regressed, weight)
@@ -52,31 +72,61 @@ def color_at_surface(volumes, batch, mask, recipe):
   return loss, terms._asdict()
 
 
-def regression(regressed, batch, recipe, train):
-  """L_clr_regress alone, of colours [B, X, Y, Z, 3] (section 4.1)."""
+def regression(regressed: jax.Array, batch: Any, recipe: Recipe, train: bool) -> Result:
+  """L_clr_regress alone (section 4.1).
+
+  Args:
+    regressed: [B, X, Y, Z, 3] colours.
+    batch: decoded.
+    recipe: its surface distance is used.
+    train: does not matter.
+  """
   del train
   regressed, mask = _at_surface(regressed, batch.index)
   return recipe.surface_distance(regressed, batch.color, mask), {}
 
 
-def flow(flow, batch, recipe, train):
-  """L_flow alone, of (u, v) [B, X, Y, Z, 2] (section 4.1)."""
+def flow(flow: jax.Array, batch: Any, recipe: Recipe, train: bool) -> Result:
+  """L_flow alone (section 4.1).
+
+  Args:
+    flow: [B, X, Y, Z, 2] (u, v).
+    batch: decoded.
+    recipe: its surface distance is used.
+    train: does not matter.
+  """
   del train
   flow, mask = _at_surface(flow, batch.index)
   return recipe.surface_distance(flow, batch.flow, mask), {}
 
 
-def joint(output, batch, recipe, train):
-  """L_flow + L_clr_regress + L_blend + MSFCEL of the unified network (section 4.1)."""
+def joint(
+  output: tuple[jax.Array, ColorVolumes], batch: Any, recipe: Recipe, train: bool
+) -> Result:
+  """L_flow + L_clr_regress + L_blend + MSFCEL of the unified network (section 4.1).
+
+  Args:
+    output: (logits, volumes) of the joint network.
+    batch: decoded.
+    recipe: as of `shape` and `color`.
+    train: as of `shape`.
+  """
   logits, volumes = output
   shape_loss, found = shape(logits, batch, recipe, train)
   color_loss, terms = color(volumes, batch, recipe, train)
   return shape_loss + color_loss, {'shape': shape_loss, **terms, **found}
 
 
-def r2n2(volume, batch, recipe, train):
-  """The L2 loss of all voxels of the joint volume [B, X, Y, Z, 3] of shape and colour."""
-  del recipe  # the text and the program leave nothing to choose
+def r2n2(volume: jax.Array, batch: Any, recipe: Recipe, train: bool) -> Result:
+  """The L2 loss over all voxels of the joint volume of shape and colour.
+
+  Args:
+    volume: [B, X, Y, Z, 3], of the adapted 3D-R2N2.
+    batch: decoded.
+    recipe: does not matter: the text and the program leave nothing to choose.
+    train: as of `shape`.
+  """
+  del recipe
   target = jax.vmap(
     lambda i, c: jnp.full(volume.shape[1:], EMPTY).at[tuple(i.T)].set(c, mode='drop')
   )(batch.index, batch.color)

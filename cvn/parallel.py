@@ -38,7 +38,10 @@ class Placement(NamedTuple):
 
 
 def connect(
-  coordinator: str | None = None, num_processes: int | None = None, process_id: int | None = None
+  *,
+  coordinator: str | None = None,
+  num_processes: int | None = None,
+  process_id: int | None = None,
 ) -> None:
   """Joins the other processes of a training, before anything is computed.
 
@@ -97,7 +100,7 @@ def local_batch(batch_size: int, *, parts: int = 1) -> int:
   return batch_size // devices * jax.local_device_count()
 
 
-def make_placement(devices: Sequence[jax.Device] | None = None) -> Placement:
+def make_placement(*, devices: Sequence[jax.Device] | None = None) -> Placement:
   """Spreads batches over devices, all of those of all processes by default."""
   devices = jax.devices() if devices is None else devices
   mesh = jax.make_mesh((len(devices),), ('batch',), axis_types=(AxisType.Auto,), devices=devices)

@@ -36,7 +36,7 @@ _SPECK = 0.01  # parts smaller than this fraction of the largest one are noise
 _WORKING_SIZE = 1024  # larger pictures are shrunk first
 
 
-def load_view(path: str, image_size: int = camera.IMAGE_SIZE) -> np.ndarray:
+def load_view(path: str, *, image_size: int = camera.IMAGE_SIZE) -> np.ndarray:
   """Reads a picture and puts it into the framing of the training views.
 
   Args:

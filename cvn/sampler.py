@@ -37,6 +37,10 @@ def bilinear(image: jax.Array, flow: jax.Array) -> jax.Array:
 def nearest(image: jax.Array, flow: jax.Array) -> jax.Array:
   """The pixel that holds the coordinate, floor(flow * size): no gradient reaches the flow.
 
+  >>> image = jnp.array([[[[0.25], [0.75]]]])  # one row of two pixels
+  >>> nearest(image, jnp.array([[0.6, 0.5]]))
+  Array([[0.75]], dtype=float32)
+
   Args:
     image: [B, H, W, C].
     flow: [B, ..., 2].
@@ -90,6 +94,9 @@ def fill(image: jax.Array, foreground: jax.Array) -> jax.Array:
   Args:
     image: [B, H, W, C].
     foreground: [B, H, W] bool.
+
+  Raises:
+    ValueError: the shapes do not fit.
   """
   if foreground.shape != image.shape[:3]:
     raise ValueError(f'foreground {foreground.shape} does not fit images {image.shape}')

@@ -21,7 +21,14 @@ import jax.numpy as jnp
 
 from cvn.networks import ColorVolumes
 from cvn.ops import matmul
-from cvn.ops.normalization import ELU, SIGMOID, affine
+from cvn.ops.normalization import (
+  ELU,
+  SIGMOID,
+  activated,
+  coefficients,
+  moments,
+  sum_channels,
+)
 
 # Lists of near cells have room for one of these shares of all cells: the first that suffices.
 SHARES = (1 / 10, 1 / 8, 5 / 32, 1 / 5, 1 / 4, 1 / 3, 1 / 2, 1)
@@ -131,22 +138,22 @@ def color_heads(
     return product(read, matmul.deconv_matrix(kernel)).reshape(-1, kernel.shape[-1])
 
   def head(p):
-    hidden, hidden_statistics = _finish(deconv(p['deconv']), 8 * places.cells, p['deconv'], ELU)
+    hidden, hidden_statistics = _normalized(deconv(p['deconv']), 8 * places.cells, p['deconv'], ELU)
     kernel = p['conv']['kernel']
     given = product(hidden.reshape(len(read), -1), matmul.conv_matrix(kernel))
     out = at_surface(given.reshape(-1, kernel.shape[-1]), places.reaching)
-    out, statistics = _finish(out, voxels, p['conv'], SIGMOID)
+    out, statistics = _normalized(out, voxels, p['conv'], SIGMOID)
     return out, {'deconv': hidden_statistics, 'conv': statistics}
 
   regressed, of_regressed = head(params['regressed'])
   p = params['flow']['deconv']
-  flow, of_flow = _finish(at_surface(deconv(p), places.own), voxels, p, SIGMOID)
+  flow, of_flow = _normalized(at_surface(deconv(p), places.own), voxels, p, SIGMOID)
   weight, of_weight = head(params['weight'])
   statistics = {'regressed': of_regressed, 'flow': {'deconv': of_flow}, 'weight': of_weight}
   return ColorVolumes(regressed, flow, 1 - weight), statistics
 
 
-def by_capacity(function: Callable, near: jax.Array, *arrays) -> tuple[jax.Array, Any]:
+def by_capacity(function: Callable, near: jax.Array, *arrays: Any) -> tuple[jax.Array, Any]:
   """`function(capacity, *arrays)` with the first capacity that is enough for the near cells.
 
   Args:
@@ -177,13 +184,11 @@ def by_capacity(function: Callable, near: jax.Array, *arrays) -> tuple[jax.Array
   return chosen(*arrays)
 
 
-def _finish(x, count, params, activation):
+def _normalized(x, count, params, activation):
   """Bias, normalisation and activation of `count` rows (others are 0): (y, the statistics)."""
-  axes = tuple(range(x.ndim - 1))
-  mean, square = (jnp.sum(v, axes) / jnp.maximum(count, 1) for v in (x, x * x))
-  variance = jnp.maximum(square - mean * mean, 0)
-  norm = params['norm']
-  y = affine(x, mean, variance, norm['scale'], norm['bias'], activation)
+  mean, variance = moments(sum_channels(x), jnp.maximum(count, 1).astype(jnp.float32))
+  scale, shift = coefficients(mean, variance, params['norm']['scale'], params['norm']['bias'])
+  y = activated(x, scale, shift, activation)
   return y, {'norm': {'mean': mean + params['bias'], 'var': variance}}
 
 

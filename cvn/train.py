@@ -99,6 +99,14 @@ def make_surface_step(
   """`make_step` for the colour network, with its heads computed at surface voxels alone.
 
   Batch statistics differ from those of `make_step`, see cvn.surface.
+
+  Args:
+    network: its fields choose mixed precision and the layers' implementation.
+    recipe: loss, learning rate and penalty.
+    total_samples: of the whole training, for schedules that end with it.
+
+  Returns:
+    step(state, batch) -> (state, metrics), as of `make_step`.
   """
   trunk = Trunk(network.image_size, network.grid_size, network.mixed, network.implementation)
 
@@ -172,7 +180,8 @@ def _compile_step(loss, recipe, total_samples, parts):
     size = len(batch.image)
     optimizer = make_optimizer(recipe, batch_size=size, total_samples=total_samples)
     gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch)
-    updates, opt_state = optimizer.update(gradient, state.opt_state)
+    with jax.numpy_dtype_promotion('standard'):  # which optax counts on, whatever the caller has
+      updates, opt_state = optimizer.update(gradient, state.opt_state)
     params = optax.apply_updates(state.params, updates)
     decay = norm_decay((state.step * size).astype(jnp.float32), size)
     running = jax.tree.map(

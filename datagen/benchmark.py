@@ -27,9 +27,9 @@ from cvn import errors
 from cvn.camera import AZIMUTHS, IMAGE_SIZE
 from cvn.dataset import SURFACE_CAPACITY, Manifest, Model
 from cvn.grid import GRID_SIZE
-from cvn.machine import processor
+from cvn.ops import compile as compiling
 from datagen.executors import process_executor
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.pipeline import make_record
 
 MEMORY = 16 << 30  # bytes a worker may have; the largest meshes need a few of them
@@ -89,7 +89,8 @@ def describe_machine() -> str:
   versions = ', '.join(
     f'{p} {importlib.metadata.version(p)}' for p in ('mitsuba', 'numpy', 'scipy')
   )
-  return f'{processor()}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}'
+  cores, python = os.cpu_count(), platform.python_version()
+  return f'{compiling.processor_name()}, {cores} cores; Python {python}, {versions}'
 
 
 def measure(faces: int, texture: int, models: int) -> Measured:

@@ -32,14 +32,14 @@ from cvn import errors
 from cvn.dataset import Dataset, Facts
 from cvn.errors import UserError
 from datagen import sources
-from datagen.contact_sheet import contact_sheet, rows_to_show
 from datagen.executors import dask_client, process_executor
-from datagen.flow import SIMILARITY, TOLERANCE, FlowStats
-from datagen.notes import from_bits
+from datagen.geometry.flow import SIMILARITY, TOLERANCE, FlowStats
+from datagen.geometry.render import SHADINGS
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
 from datagen.placement import COLUMNS, TABLE, UPS, with_owners_word
 from datagen.plan import keep_listed, list_models, open_or_create, plan
-from datagen.render import SHADINGS
+from datagen.quality.contact_sheet import contact_sheet, rows_to_show
+from datagen.reading.notes import from_bits
 
 REASONS_SHOWN = 5
 SHEET_MODELS = 8  # on the contact sheet

@@ -16,10 +16,10 @@ from cvn import errors
 from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, read_record, surface_counts
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen.contact_sheet import contact_sheet
-from datagen.examine import Examined, examine, suspicions
-from datagen.flow import FIDELITY
-from datagen.notes import from_bits
+from datagen.geometry.flow import FIDELITY
+from datagen.quality.contact_sheet import contact_sheet
+from datagen.quality.examine import Examined, examine, suspicions
+from datagen.reading.notes import from_bits
 
 BINS = 10  # of the histogram
 BAR = 40  # characters

@@ -25,17 +25,17 @@ from cvn.camera import AZIMUTHS, IMAGE_SIZE, camera_at
 from cvn.dataset import Facts, Record
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
-from datagen import mesh as mesh_lib
 from datagen import sources
-from datagen.coincident import without_coincident
-from datagen.examine import flow_stats
-from datagen.facts import facts_of
-from datagen.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
+from datagen.geometry import mesh as mesh_lib
+from datagen.geometry.coincident import without_coincident
+from datagen.geometry.flow import SIMILARITY, TOLERANCE, FlowStats, target_flows
+from datagen.geometry.render import render
+from datagen.geometry.voxelize import voxelize
 from datagen.limits import call_within
 from datagen.placement import stand_up
-from datagen.render import render
+from datagen.quality.examine import flow_stats
+from datagen.quality.facts import facts_of
 from datagen.sources import SourceModel
-from datagen.voxelize import voxelize
 
 
 class Settings(NamedTuple):
@@ -44,9 +44,9 @@ class Settings(NamedTuple):
   azimuths: tuple[float, ...] = AZIMUTHS  # degrees
   image_size: int = IMAGE_SIZE  # pixels
   grid_size: int = GRID_SIZE  # voxels
-  shading: str = 'flat'  # one of datagen.render.SHADINGS
-  tolerance: float = TOLERANCE  # of datagen.flow, voxels
-  similarity: float = SIMILARITY  # of datagen.flow, RGB distance
+  shading: str = 'flat'  # one of datagen.geometry.render.SHADINGS
+  tolerance: float = TOLERANCE  # of datagen.geometry.flow, voxels
+  similarity: float = SIMILARITY  # of datagen.geometry.flow, RGB distance
 
 
 SETTINGS = Settings()

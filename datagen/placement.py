@@ -13,7 +13,7 @@ import numpy as np
 
 from cvn.dataset import SPLITS
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources import SourceModel
 
 TABLE = 'models.csv'  # beside the meshes

@@ -61,7 +61,7 @@ def make_collection(
   people: int,
   workers: int,
 ) -> None:
-  """Makes the data sets, or what is missing of them.
+  """Makes the data sets, as far as they are missing.
 
   Args:
     libraries: of Sweet Home 3D; None for no real models.

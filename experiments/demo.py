@@ -7,13 +7,10 @@ it stopped, so the same command resumes an interrupted demonstration. OUTPUT/ind
 results. The exit status is 1 if they are not better than the trivial baselines.
 """
 
-import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-import matplotlib
-import matplotlib.figure
 import numpy as np
 from absl import flags
 from PIL import Image
@@ -22,7 +19,7 @@ from cvn import data, figures
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from experiments.lib import charts, cli, markdown, page, picks, runs, stages, viewer
+from experiments.lib import cli, markdown, page, picks, runs, stages, viewer
 from experiments.lib.assets import to_png
 from experiments.lib.markdown import escape
 from experiments.lib.page import Block, Picture
@@ -31,6 +28,8 @@ from experiments.lib.runs import Run
 from experiments.lib.scoring import to_voxels
 from experiments.lib.stages import read_bytes, read_json
 from experiments.lib.training import DTYPE_CHOICES
+from experiments.report import plots
+from experiments.report.read import read_training
 
 PICTURE_VIEWS = (1, 11, 2, 10)  # of the data set, in turn: the front from different angles
 VALIDATIONS = 6  # in the course of a training, each on so many views
@@ -44,7 +43,7 @@ MEASURES = {  # title, form and baseline of each measure
 
 
 class Settings(NamedTuple):
-  """What to demonstrate; see the flags of the same names."""
+  """A demonstration; see the flags of the same names."""
 
   output: str
   category: str
@@ -131,7 +130,6 @@ def run(s: Settings) -> int:
   stage('experiments.reconstruct', image=','.join(files), output=folder['models'], **best)
 
   better = find_better(report)
-  logs = {name: os.path.join(w, 'log.jsonl') for name, w in networks.items()}
   seconds = stages.read_seconds(s.output)
   blocks = [
     '# One picture in, a coloured 3D model out',
@@ -144,7 +142,12 @@ def run(s: Settings) -> int:
     '## Evaluation on the held-out split',
     make_table(report, better),
     '## Training',
-    draw_curves([c for name, log in logs.items() for c in read_curves(name, log)]),
+    plots.training_curves(
+      [t for w in networks.values() if (t := read_training(w))],
+      'training',
+      'In training (lines) and on held-out objects of the split val (dots).',
+      metrics=('loss', 'iou'),
+    ),
     '## The first objects of the data set',
     Picture('objects', read_bytes(os.path.join(folder['data'], 'contact_sheet.png')), ''),
     f'## Commands, {markdown.minutes(sum(seconds[x] for x in lines))} in all',
@@ -208,46 +211,6 @@ def make_example(dataset: Dataset, pick: Pick, models: str, output: str) -> list
   ]
 
 
-class Curve(NamedTuple):
-  """A quantity in the course of training."""
-
-  title: str
-  training: Sequence[tuple[float, float]]  # (epoch, value)
-  validation: Sequence[tuple[float, float]]  # likewise
-
-
-def read_curves(network: str, path: str) -> list[Curve]:
-  """The loss in a training's log, and the IoU if it was measured."""
-  lines = [json.loads(line) for line in read_bytes(path).splitlines()]
-  curves = []
-  for metric, title in (('loss', 'loss'), ('iou', 'IoU')):
-    trained = [(x['epoch'], x[metric]) for x in lines if metric in x]
-    validated = [
-      (x['epoch'], x['validation'][metric]) for x in lines if metric in x.get('validation', ())
-    ]
-    if trained or validated:
-      curves.append(Curve(f'{network} network: {title}', trained, validated))
-  return curves
-
-
-def draw_curves(curves: Sequence[Curve]) -> Picture:
-  """Charts side by side."""
-  with matplotlib.rc_context(charts.STYLE):
-    size = (3 * len(curves), 2.6)
-    figure = matplotlib.figure.Figure(figsize=size, layout='constrained')
-    for axes, curve in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
-      if curve.training:
-        at = tuple(zip(*curve.training, strict=True))
-        axes.plot(*at, color='#2f6fb5', linewidth=1, label='training')
-      if curve.validation:
-        at = tuple(zip(*curve.validation, strict=True))
-        axes.plot(*at, 'o-', color='#e0893a', markersize=3, label='validation')
-      axes.set(title=curve.title, xlabel='epoch')
-      axes.grid(**charts.GRID)
-      axes.legend()
-    return charts.to_picture(figure, 'training', 'Training and validation by epoch.')
-
-
 def find_better(report: Mapping[str, Any]) -> dict[str, bool]:
   """For each measure, whether the networks are above the baselines."""
   ours, trivial = (report[who]['total'] for who in ('networks', 'baselines'))
@@ -282,7 +245,7 @@ def say_verdict(report: Mapping[str, Any], better: Mapping[str, bool]) -> str:
 
 
 def about(dataset: Dataset, trained: Iterable[Run]) -> str:
-  """What a reader must know about the numbers."""
+  """The origin and the limits of the numbers."""
   train, test = (len(data.select_rows(dataset, split)) for split in ('train', 'test'))
   names = sorted({m.category for m in dataset.manifest.models})
   epochs = ' and '.join(f'{runs.epochs_of(run):.4g}' for run in trained)

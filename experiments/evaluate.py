@@ -26,9 +26,10 @@ import numpy as np
 from absl import flags, logging
 from tqdm import tqdm
 
-from cvn import baselines, blending, data, metrics, readouts
+from cvn import blending, data, metrics, readouts
 from cvn.dataset import Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import baselines
 from cvn.files import atomic_write
 from experiments.lib import cli, markdown, scoring, stages
 from experiments.lib.evaluation import ALPHAS, Settings, define_flags, make_options, read_flags
@@ -56,12 +57,14 @@ def evaluate(s: Settings) -> dict[str, Any]:
   if not (s.shape or s.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(s.data)
-  rows = data.select_rows(dataset, s.split, s.category, s.source)
+  rows = data.select_rows(dataset, s.split, categories=s.category, sources=s.source)
   if len(rows) == 0:
     raise UserError(f'{s.data} has no finished model in the split {s.split}')
-  shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
-  color = shape  # one network for both runs once
-  if s.color != s.shape:
+  if s.shape == s.color:  # one network for both runs once
+    kinds = [kind for kind in readouts.SHAPE_KINDS if kind in readouts.COLOR_KINDS]
+    shape = color = scoring.load(s.shape, kinds, dataset)
+  else:
+    shape = scoring.load(s.shape, readouts.SHAPE_KINDS, dataset) if s.shape else None
     color = scoring.load(s.color, readouts.COLOR_KINDS, dataset) if s.color else None
   models = dataset.manifest.models
   if s.carve and any(models[row].source == UNKNOWN_CAMERA for row in rows):
@@ -126,7 +129,7 @@ def find_alpha(
 
 
 def _validation_rows(s, dataset, name):
-  rows = data.select_rows(dataset, 'val', s.category, s.source)
+  rows = data.select_rows(dataset, 'val', categories=s.category, sources=s.source)
   if len(rows) == 0:
     raise UserError(f'{s.data} has no finished model in the split val: give a --{name}')
   return rows
@@ -141,7 +144,9 @@ def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
   models = dataset.manifest.models
   wanted = sorted({models[row].category for row in rows})
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
-  for row in tqdm(data.select_rows(dataset, 'train', wanted), desc='baselines', disable=None):
+  for row in tqdm(
+    data.select_rows(dataset, 'train', categories=wanted), desc='baselines', disable=None
+  ):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)

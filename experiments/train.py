@@ -8,8 +8,8 @@ are the colour network without its other heads, joint is the unified network, r2
 
 The same command continues exactly where the last one stopped, and so does --workdir=WORKDIR alone;
 with more --epochs it goes further. Ctrl-C or SIGTERM saves first. WORKDIR holds config.json,
-sessions.jsonl, checkpoints, log.jsonl and files for TensorBoard (see cvn.checkpoint, cvn.journal
-and experiments.lib.sessions).
+sessions.jsonl, checkpoints, log.jsonl and files for TensorBoard (see cvn.checkpoint,
+experiments.lib.journal and experiments.lib.sessions).
 
 A batch is spread over all devices of all processes: docs/scaling.md says how to start several.
 """
@@ -49,7 +49,9 @@ PICTURES = 4  # views drawn at each validation
 
 
 def join(f: flags.FlagValues) -> None:
-  parallel.connect(f.coordinator, f.num_processes, f.process_id)
+  parallel.connect(
+    coordinator=f.coordinator, num_processes=f.num_processes, process_id=f.process_id
+  )
 
 
 @cli.program(define_flags, start=join)
@@ -70,7 +72,7 @@ def run(s: Settings, *, last_good: bool = False, replay: bool = False) -> int:
   read = data.read_shape if s.network == 'shape' else data.read_color
   dataset = open_dataset(s.data)
   check_sizes(dataset)
-  rows = data.select_rows(dataset, 'train', s.category, s.source)
+  rows = data.select_rows(dataset, 'train', categories=s.category, sources=s.source)
   options = {'seed': s.seed, 'mirror': recipe.mirror, 'recolor': recipe.recolor}
   batches, names = (
     data.training_batches(
@@ -96,7 +98,7 @@ def run(s: Settings, *, last_good: bool = False, replay: bool = False) -> int:
     if is_finished(s.workdir, checkpoint.latest_step(s.workdir) or 0, len(batches), s.epochs):
       print(f'{s.workdir} is trained for {s.epochs} epochs: raise --epochs to go on')
       return 0
-    views = data.select_rows(dataset, 'val', s.category, s.validation_source)
+    views = data.select_rows(dataset, 'val', categories=s.category, sources=s.validation_source)
     pairs = choose_views(dataset, views, maximum=s.validation_views, batch_size=s.batch_size)
     if len(pairs) == 0:
       print('no finished model in the split val: training without validation', file=sys.stderr)
@@ -177,10 +179,10 @@ def agree_on_implementation(dtype: str) -> str:
   """
   if jax.process_count() == 1 or jax.default_backend() != 'cpu':
     return 'auto'
-  operations = ('deconv', 'conv', 'conv2d', 'activated')
-  win = native.available() and all(native.wins(o, mixed=dtype == 'mixed') for o in operations)
-  chosen = parallel.broadcast('kernels' if win else 'xla')
-  if chosen == 'kernels' and not native.available():
+  library, operations = native.library(), ('deconv', 'conv', 'conv2d', 'activated')
+  win = library and all(native.wins(library, o, mixed=dtype == 'mixed') for o in operations)
+  chosen = parallel.broadcast('kernels' if win else 'plain')
+  if chosen == 'kernels' and library is None:
     raise UserError(
       f'process {jax.process_index()} has no compiled kernels ({native.missing()}), but process 0'
       ' has: set CVN_KERNELS=off on all machines, or install a C++ compiler on this one'
@@ -254,7 +256,7 @@ def choose_views(dataset: Dataset, rows, *, maximum: int, batch_size: int) -> np
   count = min(maximum, len(rows) * views)
   if count > batch_size:
     count -= count % batch_size
-  return data.evaluation_pairs(rows, views, count)
+  return data.evaluation_pairs(rows, views, limit=count)
 
 
 if __name__ == '__main__':

@@ -82,7 +82,7 @@ def write(
   if not workdirs:
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
   dataset = open_dataset(data_url)
-  rows = data.select_rows(dataset, split, category)
+  rows = data.select_rows(dataset, split, categories=category)
   if len(rows) == 0:
     raise UserError(f'{data_url} has no finished model in the split {split}')
   steps = {kind: checkpoint.latest_step(workdir) for kind, workdir in workdirs.items()}
@@ -105,7 +105,7 @@ def write(
 
 
 def write_model(dataset: Dataset, row: int, network: Network, output: str, *, alpha: float) -> bool:
-  """Writes what a network says of a model's views, unless all of it is there.
+  """Writes a network's predictions for a model's views, unless all files exist.
 
   Returns:
     Whether it was written.

@@ -8,7 +8,7 @@ import numpy as np
 import PIL.Image
 
 from cvn.errors import UserError
-from datagen.mesh import albedo
+from datagen.geometry.mesh import albedo
 from datagen.reading.gltf import read_gltf
 from datagen.reading.parts import assemble
 

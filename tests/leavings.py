@@ -38,8 +38,8 @@ def leave_scores(number=0.5, **named):
   """Leaves what experiments.evaluate leaves: its options, and the same number for all views."""
   options = evaluation.options(**named)
   opened = dataset.open_dataset(named['data'])
-  where = options['split'], options['category'], options['source']
-  rows = data.select_rows(opened, *where)
+  where = {'categories': options['category'], 'sources': options['source']}
+  rows = data.select_rows(opened, options['split'], **where)
   by_model = {
     m.id: {'category': m.category, 'source': m.source}
     | {k: [number] * 2 for k in ('iou', 'psnr_rgb', 'psnr_ycbcr')}

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.parts import Part, assemble
 

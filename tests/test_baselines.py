@@ -1,6 +1,7 @@
 import numpy as np
 
-from cvn import baselines, metrics
+from cvn import metrics
+from cvn.evaluation import baselines
 
 SIZE = 6
 

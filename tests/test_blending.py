@@ -21,18 +21,20 @@ def test_the_weight_needs_a_channel_axis():
 
 def test_weights_grow_to_one_at_alpha():
   weight = jnp.array([0.0, 0.1, 0.2, 0.20001, 1.0])
-  np.testing.assert_allclose(blending.recalculate_weight(weight, 0.2), [0, 0.5, 1, 1, 1], rtol=1e-6)
+  np.testing.assert_allclose(
+    blending.recalculate_weight(weight, alpha=0.2), [0, 0.5, 1, 1, 1], rtol=1e-6
+  )
 
 
 def test_alpha_one_leaves_the_weights():
   weight = jnp.linspace(0, 1, 11)
-  np.testing.assert_array_equal(blending.recalculate_weight(weight, 1.0), weight)
+  np.testing.assert_array_equal(blending.recalculate_weight(weight, alpha=1.0), weight)
 
 
 @pytest.mark.parametrize('alpha', [0.0, -0.2, 1.01, float('nan'), float('inf')])
 def test_alpha_outside_its_range_is_refused(alpha):
   with pytest.raises(UserError, match='alpha must be above 0 and at most 1'):
-    blending.recalculate_weight(jnp.ones(3), alpha)
+    blending.recalculate_weight(jnp.ones(3), alpha=alpha)
 
 
 def test_adjusted_colours_stretch_from_the_threshold_to_one():

@@ -36,7 +36,7 @@ def masks():
 
 def test_the_azimuth_is_told_from_the_shape(masks):
   shape = np.broadcast_to(make_object().astype(np.float32), (len(AZIMUTHS), *(SIZE,) * 3))
-  weights = np.asarray(carving.azimuth_weights(shape, masks, AZIMUTHS))
+  weights = np.asarray(carving.azimuth_weights(shape, masks, azimuths=AZIMUTHS))
   np.testing.assert_allclose(weights.sum(1), 1, atol=1e-5)
   np.testing.assert_array_equal(weights.argmax(1), np.arange(len(AZIMUTHS)))
   assert weights.max(1).min() > 0.7
@@ -46,7 +46,7 @@ def test_what_lies_outside_the_silhouette_goes_and_all_else_stays(masks):
   true = make_object()
   estimate = true.astype(np.float32)
   estimate[8:12, 8:30, 28:31] = 0.9  # a wall that is not there
-  found = np.asarray(carving.carve(np.stack([estimate] * len(masks)), masks, AZIMUTHS))
+  found = np.asarray(carving.carve(np.stack([estimate] * len(masks)), masks, azimuths=AZIMUTHS))
   assert found.min() >= 0 and found.max() <= 1 + 1e-6
   assert found[:, true].mean(1).min() > 0.98
   before = metrics.iou(estimate >= 0.8, true)
@@ -69,7 +69,7 @@ def test_the_silhouette_is_explained_by_what_is_likeliest_along_the_ray(masks):
   post[6:10, 12:27, 10:14] = True
   estimate[post] = 0.6  # the network is not sure of it, but nothing else is there
   estimate[11:14, 12:27, 10:14] = 0.3  # and less of what is beside it
-  found = np.asarray(carving.carve(estimate[None], masks[2:3], AZIMUTHS))[0]
+  found = np.asarray(carving.carve(estimate[None], masks[2:3], azimuths=AZIMUTHS))[0]
   assert found[post].mean() > 0.75
   assert found[estimate == np.float32(0.3)].max() < 0.6
 
@@ -77,24 +77,24 @@ def test_the_silhouette_is_explained_by_what_is_likeliest_along_the_ray(masks):
 def test_a_view_that_is_all_foreground_carves_nothing():
   probability = np.random.default_rng(0).random((2, SIZE, SIZE, SIZE), np.float32)
   foreground = np.ones((2, IMAGE, IMAGE), bool)
-  found = np.asarray(carving.carve(probability, foreground, AZIMUTHS))
+  found = np.asarray(carving.carve(probability, foreground, azimuths=AZIMUTHS))
   assert (found >= probability - 1e-6).all() and found.max() <= 1 + 1e-6
   # Where nothing is likely, nothing becomes so.
-  found = carving.carve(0.3 * probability, foreground, AZIMUTHS)
+  found = carving.carve(0.3 * probability, foreground, azimuths=AZIMUTHS)
   np.testing.assert_allclose(found, 0.6 * probability, atol=1e-6)
 
 
 def test_a_shape_nobody_is_sure_of_counts_every_azimuth_alike(masks):
   faint = 0.5 * make_object().astype(np.float32)[None]
-  weights = carving.azimuth_weights(faint, masks[:1], AZIMUTHS)
+  weights = carving.azimuth_weights(faint, masks[:1], azimuths=AZIMUTHS)
   np.testing.assert_allclose(weights, 1 / len(AZIMUTHS), atol=1e-6)
 
 
 def test_the_mirrored_view_carves_the_mirrored_shape(masks):
   probability = np.random.default_rng(1).random((1, SIZE, SIZE, SIZE), np.float32)
   probability = np.maximum(probability * 0.7, make_object())
-  found = np.asarray(carving.carve(probability, masks[1:2], AZIMUTHS))
-  other = np.asarray(carving.carve(probability[:, ::-1], masks[1:2, :, ::-1], AZIMUTHS))
+  found = np.asarray(carving.carve(probability, masks[1:2], azimuths=AZIMUTHS))
+  other = np.asarray(carving.carve(probability[:, ::-1], masks[1:2, :, ::-1], azimuths=AZIMUTHS))
   # Centres that project onto the border of two pixels may fall to either side.
   assert (np.abs(found - other[:, ::-1]) < 1e-3).mean() > 0.99
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from datagen import coincident
-from datagen.coincident import without_coincident
-from datagen.mesh import TexturedMesh
+from datagen.geometry import coincident
+from datagen.geometry.coincident import without_coincident
+from datagen.geometry.mesh import TexturedMesh
 
 TRIANGLE = np.array([[-0.4, -0.4, 0], [0.4, -0.4, 0], [0, 0.4, 0.0]])
 OUT, IN, OTHER = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9), (0.5, 0.5, 0.5)

@@ -13,7 +13,7 @@ from trimesh.visual.material import PBRMaterial
 
 from cvn.camera import camera_at, project
 from cvn.grid import OBJECT_EXTENT, world_to_grid
-from datagen.mesh import NO_COLOR
+from datagen.geometry.mesh import NO_COLOR
 from datagen.pipeline import Settings, make_record
 from datagen.reading import read_mesh
 from datagen.reading.files import folder_files

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import platform
 import subprocess
 import sys
 
@@ -149,3 +150,11 @@ def test_a_reason_is_one_line():
     compiling.reason(subprocess.TimeoutExpired(['cc', 'a'], 600.0)) == 'cc did not end in 600 s'
   )
   assert compiling.reason(OSError()) == 'OSError'
+
+
+def test_the_processor_has_a_name(monkeypatch):
+  lines = ['processor\t: 0\n', 'model name\t: Some CPU: fast\n', 'model name\t: Another\n']
+  monkeypatch.setattr(compiling, '_cpu_lines', lambda: lines)
+  assert compiling.processor_name() == 'Some CPU: fast'
+  monkeypatch.setattr(compiling, '_cpu_lines', list)
+  assert compiling.processor_name() == (platform.processor() or platform.machine())

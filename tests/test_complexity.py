@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cvn import complexity
-from cvn.complexity import Palette
 from cvn.errors import UserError
+from cvn.evaluation import complexity
+from cvn.evaluation.complexity import Palette
 
 RED, GREEN, BLUE, WHITE = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
 

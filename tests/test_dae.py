@@ -6,9 +6,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from datagen import notes
-from datagen.mesh import NO_COLOR
-from datagen.reading import read_mesh
+from datagen.geometry.mesh import NO_COLOR
+from datagen.reading import notes, read_mesh
 from datagen.reading.files import folder_files
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from cvn import camera, data, dataset, grid
+from cvn import data, dataset, grid
 from cvn.errors import UserError
 
 VIEWS = 3
@@ -62,15 +62,15 @@ def test_rows_are_finished_models_of_the_split(made):
 
 
 def test_rows_of_categories(made):
-  np.testing.assert_array_equal(data.select_rows(made, 'train', ['ball']), [0, 2, 6])
-  np.testing.assert_array_equal(data.select_rows(made, 'val', ['ball', 'egg']), [3, 8])
+  np.testing.assert_array_equal(data.select_rows(made, 'train', categories=['ball']), [0, 2, 6])
+  np.testing.assert_array_equal(data.select_rows(made, 'val', categories=['ball', 'egg']), [3, 8])
 
 
 def test_unknown_split_or_category(made):
   with pytest.raises(UserError, match="'dev' is no split; there are train, val, test"):
     data.select_rows(made, 'dev')
   with pytest.raises(UserError, match="no category 'cube'; it has ball, egg"):
-    data.select_rows(made, 'train', ['cube'])
+    data.select_rows(made, 'train', categories=['cube'])
 
 
 def test_slots_are_the_most_voxels_rounded_up(made):
@@ -93,7 +93,7 @@ def test_no_finished_model(tmp_path):
 
 def test_composite():
   rgba = np.array([[255, 0, 51, 255], [9, 9, 9, 0], [255, 0, 0, 51]], np.uint8)
-  got = data.composite(rgba, 0.5)
+  got = data.composite(rgba, background=0.5)
   assert got.dtype == np.float32
   np.testing.assert_allclose(got, [[1, 0, 0.2], [0.5, 0.5, 0.5], [0.6, 0.4, 0.4]], atol=1e-6)
 
@@ -106,7 +106,7 @@ def test_default_background_is_the_authors_grey(made):
 def test_decoding_in_a_compiled_program_is_decoding_on_the_host(made):
   for read in (data.read_color, data.read_shape):
     stored = batches(made, read)[0]
-    here, there = data.decode(stored, 0.25), jax.jit(lambda b: data.decode(b, 0.25))(stored)
+    here, there = data.decode(stored), jax.jit(data.decode)(stored)
     assert type(here) is type(there) is type(stored)
     for a, b in zip(here, there, strict=True):
       assert a.dtype == b.dtype
@@ -128,58 +128,6 @@ def test_element_is_the_record(made):
   np.testing.assert_array_equal(got.color[:count], record.surface_color.astype(np.float32) / 255)
   np.testing.assert_array_equal(got.flow[:count], record.flow[2])
   assert not got.color[count:].any() and not got.flow[count:].any()
-
-
-def test_a_mirrored_element_is_the_mirrored_objects_view(made):
-  """Azimuth a of the object, turned over, is azimuth -a of the object mirrored in x."""
-  slots, size = data.surface_slots(made), made.manifest.grid_size
-  element = data.read_color(made, 0, 1, slots=slots)
-  found = data.mirrored(element, size)
-  real = element.index[:, 0] != grid.PADDING_INDEX
-  expected = [size - 1, 0, 0] + element.index[real].astype(int) * [-1, 1, 1]
-  np.testing.assert_array_equal(found.index[real], expected)
-  assert (found.index[~real] == grid.PADDING_INDEX).all() and not found.flow[~real].any()
-  np.testing.assert_array_equal(found.image[:, ::-1], element.image)
-  np.testing.assert_array_equal(found.color, element.color)
-  view = camera.camera_at(-made.manifest.azimuths[1], image_size=made.manifest.image_size)
-  pixel, _ = camera.project(grid.index_to_world(found.index[real], size=size), view)
-  flow = data.decode(found).flow
-  np.testing.assert_allclose(flow[real], pixel / made.manifest.image_size, atol=1e-4)
-  twice = data.mirrored(found, size)
-  np.testing.assert_array_equal(twice.index, element.index)
-  np.testing.assert_array_equal(twice.flow, element.flow)
-  shape = data.mirrored(data.read_shape(made, 0, 1, slots=slots), size)
-  np.testing.assert_array_equal(shape.index, found.index)
-
-
-def test_picture_and_surface_are_painted_alike(made):
-  element = data.read_color(made, 0, 1, slots=data.surface_slots(made))
-  ends = np.array([[0, 1], [1, 0], [0.25, 0.75]])
-  found = data.recolored(element, [2, 0, 1], ends)
-  was, now = (e.image[..., :3].astype(float) for e in (element, found))
-  np.testing.assert_array_equal(now[..., 0], was[..., 2])
-  np.testing.assert_array_equal(now[..., 1], 255 - was[..., 0])
-  np.testing.assert_allclose(now[..., 2], 0.25 * 255 + 0.5 * was[..., 1], atol=0.51)
-  np.testing.assert_array_equal(found.image[..., 3], element.image[..., 3])
-  assert data.decode(found).image[0, 0].tolist() == [np.float32(data.GREY)] * 3
-  real = element.index[:, 0] != grid.PADDING_INDEX
-  np.testing.assert_array_equal(found.color[real, 1], 255 - element.color[real, 0])
-  assert not found.color[~real].any() and found.color.dtype == np.uint8
-  for same in ('index', 'flow'):
-    np.testing.assert_array_equal(getattr(found, same), getattr(element, same))
-  shape = data.recolored(data.ShapeBatch(element.image, element.index), [2, 0, 1], ends)
-  np.testing.assert_array_equal(shape.image, found.image)
-
-
-def test_paints_keep_contrast():
-  rng = np.random.default_rng(0)
-  paints = [data.draw_paint(rng) for _ in range(200)]
-  assert {tuple(order) for order, _ in paints} == set(itertools.permutations(range(3)))
-  ends = np.stack([e for _, e in paints])
-  spans = ends[..., 1] - ends[..., 0]
-  assert ends.min() >= 0 and ends.max() <= 1 and abs(spans).min() >= 0.5 and spans.min() < 0
-  natural = (ends == [0, 1]).all((1, 2))
-  assert 0.4 < natural.mean() < 0.6
 
 
 def test_elements_are_painted_at_random_and_the_same_each_time(made):
@@ -319,33 +267,20 @@ def test_restored_iterator_continues_exactly(made, consumed):
   assert images(itertools.islice(second, 4)) == expected
 
 
-def test_shards_are_disjoint_and_of_one_length(made):
-  known = known_images(made)
-  seen = []
-  for process in range(2):
-    part = batches(made, batch_size=1, shard=(process, 2))
-    assert len(part) == 3
-    seen.append({known[b][0] for b in images(part[i] for i in range(3))})
-  assert not seen[0] & seen[1]
-  assert len(seen[0] | seen[1]) == 6
-
-
 def test_too_few_models_for_a_batch(made):
   with pytest.raises(UserError, match='7 finished training models, too few for a batch of 60'):
     batches(made, batch_size=60)
-  with pytest.raises(UserError, match=r'2 processes of batch size 4: .* at most 3'):
-    batches(made, batch_size=4, shard=(0, 2))
 
 
 def test_evaluation_pairs():
   np.testing.assert_array_equal(
     data.evaluation_pairs([4, 7], 3), [[4, 0], [4, 1], [4, 2], [7, 0], [7, 1], [7, 2]]
   )
-  some = data.evaluation_pairs(np.arange(20), 12, 20)
+  some = data.evaluation_pairs(np.arange(20), 12, limit=20)
   assert len(some) == 20
   assert len(np.unique(some[:, 0])) == 20  # every model once
   assert len(np.unique(some[:, 1])) == 12  # from all sides
-  assert data.evaluation_pairs([4, 7], 3, 99).shape == (6, 2)
+  assert data.evaluation_pairs([4, 7], 3, limit=99).shape == (6, 2)
   assert data.evaluation_pairs([], 12).shape == (0, 2)
 
 

@@ -8,7 +8,7 @@ import pytest
 from absl import flags
 
 from datagen import benchmark
-from datagen.mesh import check
+from datagen.geometry.mesh import check
 
 
 @pytest.mark.parametrize('faces, made', [(1, 8), (20000, 20000), (700, 722)])

@@ -38,10 +38,6 @@ PROGRAMS = {
   'conv': (plain_conv, deconv.conv, deconv.library_conv),
 }
 
-CUSTOM_CALLS = [
-  jax.export.DisabledSafetyCheck.custom_call(native.target(name)) for name in native.KERNELS
-]
-
 
 def draw(rng, *shape):
   return rng.standard_normal(shape, dtype=np.float32)
@@ -188,8 +184,13 @@ def test_accelerators_get_the_library_and_cpus_do_not(name, dtype, implementatio
 
     return jax.value_and_grad(loss, (0, 1))(x, kernel)
 
+  checks = [
+    jax.export.DisabledSafetyCheck.custom_call(name + native.library().suffix)
+    for name in native.KERNELS
+    if native.available()
+  ]
   lowered = {
-    platform: jax.export.export(jax.jit(step), platforms=[platform], disabled_checks=CUSTOM_CALLS)(
+    platform: jax.export.export(jax.jit(step), platforms=[platform], disabled_checks=checks)(
       x, kernel
     ).mlir_module()
     for platform in ('cpu', 'cuda', 'tpu')

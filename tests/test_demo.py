@@ -1,7 +1,6 @@
 """The demonstration's page and the small steps around the programs it runs."""
 
 import base64
-import json
 import os
 import re
 
@@ -38,6 +37,7 @@ def made(tmp_path, monkeypatch):
       stages.write_json(os.path.join(named['workdir'], 'config.json'), config)
       with open(os.path.join(named['workdir'], 'log.jsonl'), 'w') as f:
         f.write('{"step": 4, "epoch": 2, "loss": 0.5}\n')
+        f.write('{"step": 4, "epoch": 2, "validation": {"loss": 1, "iou": 0.25}}\n')
     elif program == 'experiments.evaluate':
       found = evaluation(0.3, 13.5) | {'threshold': 0.4, 'alpha': 0.6}
       stages.write_json(named['json'], found)
@@ -74,20 +74,9 @@ def test_the_page_needs_nothing_but_the_files_it_offers(made):
   for name in canvases:
     (glb,) = re.findall(f'id="{name}">(.*?)</script>', page)
     assert base64.b64decode(glb).startswith(b'glTF')
+  titles = re.findall(r'>(?:shape|color): (?:loss|IoU)<', page)
+  assert titles == ['>shape: loss<', '>shape: IoU<', '>color: loss<', '>color: IoU<']
   assert 'Commands, 2 min in all' in page and '--step=5  # 30 s' in page
-
-
-def test_curves_come_from_the_log(tmp_path):
-  path = tmp_path / 'log.jsonl'
-  lines = [
-    {'step': 1, 'epoch': 0.5, 'loss': 3.0},
-    {'step': 2, 'epoch': 1.0, 'loss': 2.0},
-    {'step': 2, 'epoch': 1.0, 'validation': {'loss': 2.5, 'iou': 0.25, 'other': 1}},
-  ]
-  path.write_text(''.join(json.dumps(x) + '\n' for x in lines))
-  loss, iou = demo.read_curves('shape', str(path))
-  assert loss[1:] == ([(0.5, 3.0), (1.0, 2.0)], [(1.0, 2.5)])
-  assert iou == ('shape network: IoU', [], [(1.0, 0.25)])
 
 
 def test_pictures_are_held_out_views_and_come_back_as_written(tmp_path):

@@ -24,7 +24,7 @@ def test_each_implementation_is_what_it_says(name, monkeypatch):
   def text(implementation):
     return jax.jit(operation(name, implementation)).lower(*make(name)).as_text()
 
-  assert 'cvn_' not in text('xla')
+  assert 'cvn_' not in text('xla') and 'cvn_' not in text('plain')
   assert ('cvn_' in text('auto')) == native.available()
   if native.available():
     assert 'cvn_' in text('kernels')
@@ -35,20 +35,44 @@ def test_each_implementation_is_what_it_says(name, monkeypatch):
 
 @pytest.mark.parametrize('name', OPERATIONS)
 def test_an_unknown_implementation_is_refused(name):
-  with pytest.raises(ValueError, match=r"must be one of \('auto', 'kernels', 'xla'\): 'fast'"):
+  with pytest.raises(
+    ValueError, match=r"must be one of \('auto', 'kernels', 'plain', 'xla'\): 'fast'"
+  ):
     operation(name, 'fast')(*make(name))
 
 
 def test_an_unknown_implementation_of_a_network_is_refused():
-  with pytest.raises(ValueError, match=r"must be one of \('auto', 'kernels', 'xla'\): 'fast'"):
+  with pytest.raises(
+    ValueError, match=r"must be one of \('auto', 'kernels', 'plain', 'xla'\): 'fast'"
+  ):
     initialize(jnp.zeros((1, 32, 32, 3)), implementation='fast')
 
 
 @pytest.mark.parametrize('name', KERNELS)
 def test_kernels_that_are_missing_are_an_error_that_says_why(name, monkeypatch):
-  monkeypatch.setattr(native, 'missing', lambda: 'no C++ compiler: c++')
-  with native.using(None), pytest.raises(RuntimeError, match=r"'kernels': .*no C\+\+ compiler"):
+  monkeypatch.setattr(native, '_choose', lambda: (None, 'no C++ compiler: c++'))
+  with pytest.raises(RuntimeError, match=r"'kernels': .*no C\+\+ compiler"):
     operation(name, 'kernels')(*make(name))
+
+
+@pytest.mark.parametrize('name', KERNELS)
+def test_no_library_is_looked_for_on_an_accelerator(name, monkeypatch):
+  def refuse():
+    raise AssertionError('a library is looked for')
+
+  monkeypatch.setattr(native, 'library', refuse)
+  run = jax.jit(operation(name, 'auto'))
+  with pytest.raises(AssertionError, match='a library is looked for'):
+    run.trace(*make(name))
+  monkeypatch.setattr(jax, 'default_backend', lambda: 'gpu')
+  assert 'cvn_' not in run.trace(*make(name)).lower(lowering_platforms=('cuda',)).as_text()
+
+
+@needs_kernels
+def test_a_cpu_beside_an_accelerator_has_its_kernels(monkeypatch):
+  monkeypatch.setattr(jax, 'default_backend', lambda: 'gpu')
+  with jax.default_device(jax.devices('cpu')[0]):
+    assert 'cvn_' in jax.jit(operation('conv', 'auto')).lower(*make('conv')).as_text()
 
 
 @needs_kernels

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from datagen import dominant
-from datagen.dominant import EMPTY, add, dominant_colors
+from datagen.geometry import dominant
+from datagen.geometry.dominant import EMPTY, add, dominant_colors
 
 RED, WHITE, BLUE = [0.9, 0.1, 0.1], [1.0, 1.0, 1.0], [0.1, 0.1, 0.9]
 

@@ -3,7 +3,7 @@ import pytest
 import synthetic
 
 from cvn.dataset import Facts, Record
-from datagen.examine import examine, flow_stats, suspicions
+from datagen.quality.examine import examine, flow_stats, suspicions
 from datagen.sources import procedural
 
 GOOD = examine(

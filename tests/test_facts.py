@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from datagen import notes
-from datagen.facts import facts_of
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
+from datagen.quality.facts import facts_of
+from datagen.reading import notes
 
 
 def textured(solid, missing=()):

@@ -1,7 +1,7 @@
 """The figure of intermediate results, on networks of random parameters."""
 
 import numpy as np
-from test_figure_random import make_workdir, read_figure, run, save_networks
+from test_figure_random import make_workdir, read_figure, run
 
 from cvn import figures
 from experiments.lib import pictures
@@ -10,7 +10,6 @@ from experiments.paper.figures import intermediate as figure_intermediate
 
 def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
   given = make_workdir(tmp_path, monkeypatch)
-  save_networks(given, 'car', 'msfcel', 'blended')
   drawn = []
   draw_row = figure_intermediate.draw_row
   monkeypatch.setattr(
@@ -28,7 +27,7 @@ def test_volumes_stand_on_the_found_voxels(tmp_path, monkeypatch, capsys):
   assert image.shape[1] > len(figure_intermediate.TITLES) * 20
   assert [r['category'] for r in facts['rows']] == ['car']
   assert {*facts['networks']['car']} == {'r2n2', 'msfcel', 'blended'}
-  assert 'seed 0' in facts['caption']
+  assert facts['figure_seed'] == 0
   assert capsys.readouterr().out.splitlines()[0].endswith('intermediate.png')
 
 

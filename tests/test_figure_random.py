@@ -13,7 +13,7 @@ from test_evaluate import save_network
 
 from cvn import dataset, figures
 from cvn.errors import UserError
-from cvn.grid import ColoredVoxels
+from cvn.infer import Reconstruction
 from cvn.networks import NETWORKS
 from experiments.lib import cli, pictures, protocol, scoring
 from experiments.lib.runs import Run
@@ -23,7 +23,7 @@ IMAGE, GRID, AZIMUTHS = 32, 16, (0, 90, 200)
 
 
 def make_workdir(root, monkeypatch):
-  """The flags of a data set of two categories, all of whose networks say: a ball, red."""
+  """The flags of a data set of two categories whose networks all predict a ball."""
   synthetic.make_dataset(
     root / 'data',
     8,
@@ -34,7 +34,10 @@ def make_workdir(root, monkeypatch):
     grid_size=GRID,
   )
   ball = np.linalg.norm(np.indices((GRID,) * 3) - (GRID - 1) / 2, axis=0) < GRID / 3
-  voxels = ColoredVoxels(ball, np.broadcast_to([1.0, 0, 0], (*ball.shape, 3)))
+  rng = np.random.default_rng(0)
+  volumes = {k: rng.random((*ball.shape, 3)) for k in ('color', 'regressed', 'sampled')}
+  volumes |= {'flow': rng.random((*ball.shape, 2)), 'weight': rng.random(ball.shape)}
+  found = Reconstruction(occupancy=ball, probability=None, **volumes)
 
   def train(plan, training, category, seed):
     config = workdirs.CONFIG | {'seed': int(seed)}
@@ -48,8 +51,9 @@ def make_workdir(root, monkeypatch):
     return {'threshold': -0.1 if joint else 0.5, 'alpha': protocol.METHODS[method].alpha}
 
   def make_predictor(plan, method, category, seed):
-    del plan, method, category, seed
-    return lambda views: [voxels] * len(views)
+    del plan, category, seed
+    own = found._replace(color=1 - found.color) if method == 'r2n2' else found
+    return lambda views: [own] * len(views)
 
   monkeypatch.setattr(protocol, 'train', train)
   monkeypatch.setattr(protocol, 'evaluate', evaluate)

@@ -120,7 +120,7 @@ def test_transparent_pixels_show_the_background():
   rgba[0, 1:, 0] = 255
   rgba[0, :, 3] = 0, 255, 51
   expected = [[[100, 100, 100], [255, 0, 0], [131, 80, 80]]]
-  np.testing.assert_array_equal(figures.over(rgba, (100, 100, 100)), expected)
+  np.testing.assert_array_equal(figures.over(rgba, background=(100, 100, 100)), expected)
 
 
 def test_panel_shows_each_volume_on_the_voxels():

@@ -7,10 +7,10 @@ from cvn.camera import AZIMUTHS, camera_at, project
 from cvn.data import composite
 from cvn.grid import index_to_world
 from cvn.sampler import bilinear, nearest
-from datagen.flow import sampling_error, target_flows
-from datagen.mesh import TexturedMesh
-from datagen.render import render
-from datagen.voxelize import voxelize
+from datagen.geometry.flow import sampling_error, target_flows
+from datagen.geometry.mesh import TexturedMesh
+from datagen.geometry.render import render
+from datagen.geometry.voxelize import voxelize
 
 COLORS = np.array(
   [[0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.1, 0.1, 0.9], [0.9, 0.9, 0.1], [0.9, 0.1, 0.9], [0.1] * 3]
@@ -250,7 +250,7 @@ def test_sampling_error_against_the_samplers(color, background):
   rgba = rng.integers(0, 256, (6, 7, 4), np.uint8)
   rgba[..., 3] = 255 * (rgba[..., 3] > 100)
   pixel = rng.uniform(0, [7, 6], (200, 2))
-  image = composite(rgba, background)[None]
+  image = composite(rgba, background=background)[None]
   flow = (pixel / [7, 6])[None].astype(np.float32)
   error = [
     np.linalg.norm(np.asarray(sample(image, flow)[0]) - np.array(color) / 255, axis=-1)

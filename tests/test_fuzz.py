@@ -15,11 +15,11 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
-from datagen.coincident import without_coincident
-from datagen.mesh import normalize
+from datagen.geometry.coincident import without_coincident
+from datagen.geometry.mesh import normalize
+from datagen.geometry.voxelize import voxelize
 from datagen.reading import EXTENSIONS, read_mesh
 from datagen.reading.files import archive_files, folder_files
-from datagen.voxelize import voxelize
 
 FILES = 2000
 SECONDS = 5  # of work that no file of some hundred bytes is worth

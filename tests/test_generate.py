@@ -17,9 +17,10 @@ from PIL import Image
 from cvn import dataset as dataset_lib
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from datagen import generate, notes, pipeline, plan
-from datagen.contact_sheet import rows_to_show
+from datagen import generate, pipeline, plan
 from datagen.pipeline import Job, Outcome, Settings, make_record, run_jobs
+from datagen.quality.contact_sheet import rows_to_show
+from datagen.reading import notes
 from datagen.sources import SourceModel
 from datagen.sources.mesh_folder import load
 from datagen.splits import split_of

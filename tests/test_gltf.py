@@ -19,7 +19,7 @@ from gltf_files import (
 )
 
 from cvn.errors import UserError
-from datagen import notes
+from datagen.reading import notes
 from datagen.reading.headers import MAX_FACES
 
 

@@ -25,7 +25,7 @@ from gltf_files import (
 )
 
 from cvn.errors import UserError
-from datagen import notes
+from datagen.reading import notes
 
 
 @pytest.mark.parametrize(

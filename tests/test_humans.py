@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from cvn.errors import UserError
-from datagen.mesh import check, normalize
+from datagen.geometry.mesh import check, normalize
 from datagen.sources import SOURCES, humans, source
 from datagen.sources.people import data
 

@@ -11,8 +11,8 @@ from PIL import Image
 
 from cvn.errors import UserError
 from datagen import pipeline
-from datagen.examine import flow_stats
 from datagen.pipeline import Job, Settings
+from datagen.quality.examine import flow_stats
 from datagen.sources import im2avatar_release as source
 
 SIZES = {'azimuths': (0, 30, 120, 240), 'image_size': 32, 'grid_size': 16}

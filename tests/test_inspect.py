@@ -9,8 +9,9 @@ from PIL import Image
 from cvn import dataset as dataset_lib
 from cvn.dataset import Facts
 from cvn.errors import UserError
-from datagen import inspect, notes
-from datagen.notes import to_bits
+from datagen import inspect
+from datagen.reading import notes
+from datagen.reading.notes import to_bits
 
 
 @pytest.fixture(scope='module')

@@ -47,14 +47,12 @@ PRODUCTS = {
 
 @pytest.fixture(scope='module', params=TARGETS)
 def library(request):
-  """The kernels for a target, in place of this process's own."""
+  """The kernels for a target."""
   try:
     compiling.find_compiler()
   except FileNotFoundError:
     pytest.skip('no C++ compiler here')
-  loaded = native.load(native.build(target=request.param))
-  with native.using(loaded):
-    yield loaded
+  return native.load(native.build(target=request.param))
 
 
 def test_libraries_are_what_they_were_built_for(library, request):
@@ -67,7 +65,7 @@ def test_libraries_are_what_they_were_built_for(library, request):
     'aarch64': 'NEON, 4 lanes',
   }
   assert library.instruction_set == names[request.node.callspec.params['library']]
-  assert library.suffix.startswith('@') and native.target('cvn_conv').endswith(library.suffix)
+  assert library.suffix.startswith('@')
 
 
 def draw(*shapes):
@@ -146,7 +144,7 @@ def test_products(library, name, case, dtype):
   x, *rest = arguments
   out = jnp.float32 if name == 'conv' else DTYPES[dtype]
   got = compute(
-    lambda *a: PRODUCTS[name][0](*a, activation),
+    lambda *a: PRODUCTS[name][0](*a, activation, implementation=library),
     library,
     (jnp.asarray(x, DTYPES[dtype]), *rest),
     (jnp.asarray(cotangents[0], out), cotangents[1]),
@@ -169,7 +167,7 @@ def test_conv2d(library, shape, size, out, mixed):
   (dy,) = draw(jax.eval_shape(conv2d.library_conv2d, x, kernel).shape)
 
   def ours(x, kernel):
-    return (conv2d.conv2d(x, kernel, mixed=mixed),)
+    return (conv2d.conv2d(x, kernel, mixed=mixed, implementation=library),)
 
   kernels = ['cvn_conv2d', 'cvn_conv2d_input_gradient', 'cvn_conv2d_kernel_gradient']
   got = compute(ours, library, (x, kernel), (dy,), kernels)
@@ -188,7 +186,7 @@ def test_activated(library, channels, activation, dtype):
   tolerance = 1e-5 if dtype == 'float32' else 2**-7
 
   def ours(x, scale, shift):
-    return (normalization.activate(x, scale, shift, activation),)
+    return (normalization.activate(x, scale, shift, activation, implementation=library),)
 
   def expected(x, scale, shift):
     scale, shift = (v.reshape(1, 1, 1, 1, -1) for v in (scale, shift))

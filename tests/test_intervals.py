@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvn import intervals
+from cvn.evaluation import intervals
 
 
 def test_mean_of_models_as_the_normal_distribution_has_it():
@@ -25,7 +25,7 @@ def test_views_of_a_model_are_no_models():
 def test_mean_of_chosen_views():
   values = np.array([[1.0, 100.0], [2.0, 3.0], [100.0, 100.0]])
   chosen = np.array([[True, False], [True, True], [False, False]])
-  found = intervals.mean(values, chosen)
+  found = intervals.mean(values, chosen=chosen)
   assert found.value == 2
   # Of the two models that have such views: twice the first, both, twice the second.
   assert (found.low, found.high) == (1, 2.5)
@@ -56,7 +56,7 @@ def test_too_little_has_no_interval():
   one = intervals.mean(np.array([[1.0, 2.0]]))
   assert one.value == 1.5 and np.isnan([one.low, one.high]).all()
   assert np.isnan(intervals.mean(np.zeros((0, 3)))).all()
-  assert np.isnan(intervals.mean(np.ones((3, 2)), np.zeros((3, 2), bool))).all()
+  assert np.isnan(intervals.mean(np.ones((3, 2)), chosen=np.zeros((3, 2), bool))).all()
   assert np.isnan(intervals.rank_correlation(np.ones((4, 2)), np.arange(8).reshape(4, 2))).all()
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tensorboardX.proto import event_pb2
 
-from cvn import journal
 from cvn.errors import UserError
+from experiments.lib import journal
 
 
 def lines(workdir):

@@ -5,7 +5,7 @@ import pytest
 
 from cvn.errors import UserError
 from cvn.grid import OBJECT_EXTENT
-from datagen.mesh import TexturedMesh, albedo, check, is_surface, normalize
+from datagen.geometry.mesh import TexturedMesh, albedo, check, is_surface, normalize
 
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -12,7 +12,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from cvn.errors import UserError
-from datagen.mesh import NO_COLOR, albedo
+from datagen.geometry.mesh import NO_COLOR, albedo
 from datagen.sources import SOURCES, SourceModel, mesh_folder, source
 
 QUAD_OBJ = """mtllib {mtl}

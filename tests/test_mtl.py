@@ -1,6 +1,6 @@
 import pytest
 
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.mtl import Map, Material, find_material, read_mtl
 
 

@@ -7,9 +7,8 @@ import PIL.Image
 import pytest
 
 from cvn.errors import UserError
-from datagen import notes
-from datagen.mesh import NO_COLOR
-from datagen.reading import obj, read_mesh
+from datagen.geometry.mesh import NO_COLOR
+from datagen.reading import notes, obj, read_mesh
 from datagen.reading.files import folder_files
 
 POINTS = b'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n'

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvn.errors import UserError
-from datagen.mesh import NO_COLOR
+from datagen.geometry.mesh import NO_COLOR
 from datagen.reading.off import read_off
 
 POINTS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

@@ -41,7 +41,7 @@ def losses(made):
   network = NETWORKS['color'](**SIZES)
   step, found = train.make_step(network, OBJECTIVES['color'], PAPER), {}
   for count in (1, 2, 4):
-    placement = parallel.make_placement(jax.devices()[:count])
+    placement = parallel.make_placement(devices=jax.devices()[:count])
     state = parallel.put_whole(placement, train.create_state(jax.random.key(0), network))
     found[count] = []
     for n in range(3):
@@ -66,15 +66,22 @@ def test_a_batch_that_does_not_divide():
     parallel.local_batch(2)
 
 
-@pytest.mark.parametrize('given', [('h:1', 2, None), (None, 2, 0), ('h:1', None, 0)])
+@pytest.mark.parametrize(
+  'given',
+  [
+    {'coordinator': 'h:1', 'num_processes': 2},
+    {'num_processes': 2, 'process_id': 0},
+    {'coordinator': 'h:1', 'process_id': 0},
+  ],
+)
 def test_the_arguments_of_a_process_go_together(given):
   with pytest.raises(UserError, match='go together'):
-    parallel.connect(*given)
+    parallel.connect(**given)
 
 
 def test_one_process_joins_nobody():
-  parallel.connect(None, 1, None)
-  parallel.connect(None, 1, 0)
+  parallel.connect(num_processes=1)
+  parallel.connect(num_processes=1, process_id=0)
   assert parallel.is_first() and parallel.broadcast('text') == 'text' and parallel.agree(True)
   parallel.check_equal({'a': np.ones(3)}, 'the state')
 

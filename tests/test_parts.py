@@ -9,8 +9,8 @@ import trimesh
 from solids import textured as from_solid
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
-from datagen.mesh import NO_COLOR, TexturedMesh, albedo, check, is_surface
+from datagen.geometry.mesh import NO_COLOR, TexturedMesh, albedo, check, is_surface
+from datagen.reading import notes as notes_lib
 from datagen.reading import parts as parts_lib
 from datagen.reading.colors import grey
 from datagen.reading.parts import (

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from cvn.complexity import Palette
 from cvn.errors import UserError
+from cvn.evaluation.complexity import Palette
 from experiments.paper.people import analysis as people_analysis
 
 AZIMUTHS = (0, 90, 180, 270)

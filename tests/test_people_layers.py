@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datagen.mesh import albedo
+from datagen.geometry.mesh import albedo
 from datagen.sources.people import layers
 from datagen.sources.people.data import BodyData
 from datagen.sources.people.layers import Layer, Paint

@@ -73,7 +73,7 @@ def run(**named):
 
 def test_the_whole_study(given, commands, capsys):
   run(t1=1, people=2, **given)
-  means, by_azimuth, _ = markdown_cells.read(capsys.readouterr().out)
+  *_, means, by_azimuth, _ = markdown_cells.read(capsys.readouterr().out)
   printed = markdown_cells.column(by_azimuth, 'IoU')
   folder = given['workdir']
   with open(folder / 'tables' / 'people.json') as f:

@@ -8,8 +8,7 @@ import PIL.Image
 import pytest
 
 from cvn.errors import UserError
-from datagen import notes
-from datagen.reading import read_mesh
+from datagen.reading import notes, read_mesh
 from datagen.reading.files import folder_files
 
 ROWS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvn.errors import UserError
-from datagen.mesh import albedo, check, normalize
+from datagen.geometry.mesh import albedo, check, normalize
 from datagen.sources import procedural
 from datagen.sources.shapes import car, heads, livery, materials, outlines, parts, poses, solids
 

@@ -14,9 +14,8 @@ import pytest
 
 from cvn.errors import UserError
 from cvn.grid import OBJECT_EXTENT
-from datagen import notes
-from datagen.mesh import albedo, normalize
-from datagen.reading import headers, read_mesh
+from datagen.geometry.mesh import albedo, normalize
+from datagen.reading import headers, notes, read_mesh
 from datagen.reading import parts as parts_lib
 from datagen.reading.files import Files, archive_files, folder_files
 

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from cvn.errors import UserError
-from datagen import notes
-from datagen.mesh import albedo, is_surface
-from datagen.reading import EXTENSIONS, read_mesh
+from datagen.geometry.mesh import albedo, is_surface
+from datagen.reading import EXTENSIONS, notes, read_mesh
 from datagen.reading.files import folder_files
 
 HERE = os.path.dirname(__file__)

@@ -3,8 +3,8 @@ import pytest
 import trimesh
 
 from cvn.camera import DISTANCE, camera_at, project
-from datagen.mesh import TexturedMesh
-from datagen.render import render
+from datagen.geometry.mesh import TexturedMesh
+from datagen.geometry.render import render
 
 SIZE = 64
 

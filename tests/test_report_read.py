@@ -40,7 +40,7 @@ def test_a_training_is_measured_in_views(tmp_path):
   (t,) = report_read.read_trainings(str(tmp_path))
   assert (t.training, t.scope, t.seed) == ('msfcel_arm', 'chair', '3')
   assert (t.steps, t.epochs, t.samples) == (4, 2, 8)
-  assert t.loss == [(2, 1), (4, 0.5), (6, 1 / 3), (8, 0.25)]
+  assert t.logged == [(2 * n, {'loss': 1 / n}) for n in (1, 2, 3, 4)]
   assert t.validation == [(8, {'loss': 0.5, 'iou': 0.125})]
 
 

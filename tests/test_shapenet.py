@@ -11,7 +11,7 @@ import pytest
 
 from cvn.errors import UserError
 from datagen import plan
-from datagen.mesh import NO_COLOR, albedo
+from datagen.geometry.mesh import NO_COLOR, albedo
 from datagen.sources import shapenet, source
 from datagen.splits import read_splits
 

@@ -9,7 +9,7 @@ import pytest
 
 from cvn.errors import UserError
 from datagen import plan
-from datagen.mesh import albedo
+from datagen.geometry.mesh import albedo
 from datagen.sources import SourceModel, sweethome3d
 from datagen.sources.furniture_catalogue import Piece
 from datagen.sources.sweethome3d import list_models, load

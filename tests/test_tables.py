@@ -5,7 +5,7 @@ import math
 import markdown_cells
 import pytest
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import tables
 from experiments.lib.results import Comparison, Line, Number, Table
 

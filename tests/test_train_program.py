@@ -40,7 +40,7 @@ def loss_of(params, batch):
   """Depends on which models and views are in the batch."""
   batch = data.decode(batch)
   pixel = batch.image.mean((1, 2))
-  count = (batch.index[..., 0] != grid.PADDING_INDEX).sum(1)
+  count = (batch.index[..., 0] != grid.PADDING_INDEX).sum(1, dtype=jnp.float32)
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
@@ -51,7 +51,8 @@ def make_step(network, objective, recipe, *, total_samples, parts=1):
   @jax.jit
   def step(state, batch):
     loss, gradient = jax.value_and_grad(loss_of)(state.params, batch)
-    update, opt_state = optimizer.update(gradient, state.opt_state)
+    with jax.numpy_dtype_promotion('standard'):  # as in cvn.train
+      update, opt_state = optimizer.update(gradient, state.opt_state)
     params = optax.apply_updates(state.params, update)
     mean = 0.9 * state.batch_stats['mean'] + 0.1 * data.decode(batch).image.mean((0, 1, 2))
     return TrainState(params, {'mean': mean}, opt_state, state.step + 1), {'loss': loss}

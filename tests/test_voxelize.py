@@ -10,8 +10,8 @@ from solids import textured
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, index_to_world
 from datagen.benchmark import lumpy_ball
-from datagen.mesh import TexturedMesh, normalize
-from datagen.voxelize import voxelize
+from datagen.geometry.mesh import TexturedMesh, normalize
+from datagen.geometry.voxelize import voxelize
 
 FAR = 0.5  # voxels: no occupied centre is farther from the surface
 NEAR = 0.5 / np.sqrt(3)  # every centre nearer than this is occupied
@@ -324,7 +324,7 @@ def test_chunks_do_not_change_the_result(monkeypatch):
   knot.visual.vertex_colors = np.column_stack([knot.vertices + 0.5, np.ones(len(knot.vertices))])
   mesh = textured(knot)
   index, color, _ = voxelize(mesh)
-  monkeypatch.setattr('datagen.voxelize.CHUNK', 1000)
+  monkeypatch.setattr('datagen.geometry.voxelize.CHUNK', 1000)
   other_index, other_color, _ = voxelize(mesh)
   np.testing.assert_array_equal(index, other_index)
   assert np.abs(color.astype(int) - other_color).max() <= 3

@@ -20,6 +20,8 @@ from cvn.ops import compile as compiling
 
 ROOT = pathlib.Path(__file__).parent.parent
 PACKAGES = ('cvn', 'datagen', 'experiments')
+DOCUMENTS = ('CHANGELOG.md', 'CITATION.cff', 'LICENSE', 'README.md')
+FILES = ('pyproject.toml', 'build_backend.py', 'MANIFEST.in', *DOCUMENTS)
 SHIPPED = 'cvn/ops/shipped/'
 
 
@@ -33,7 +35,7 @@ def read_backend(folder):
 
 def copy_sources(folder):
   """A copy of what an sdist is made of, so that a build leaves nothing in the project's folder."""
-  for name in ('pyproject.toml', 'build_backend.py', 'MANIFEST.in', 'README.md', 'LICENSE'):
+  for name in FILES:
     shutil.copy(ROOT / name, folder)
   for name in PACKAGES:
     shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns('__pycache__'))
@@ -76,6 +78,8 @@ def test_without_a_compiler_the_wheel_is_for_any_machine(tmp_path):
   assert len(told) == 1 and 'no C++ compiler: no-such-compiler' in told[0]
   with zipfile.ZipFile(wheel) as f:
     names = f.namelist()
+    (entries,) = (name for name in names if name.endswith('.dist-info/entry_points.txt'))
+    assert 'cvn-train = experiments.commands:train' in f.read(entries).decode().splitlines()
   packages = (f for name in PACKAGES for f in (sources / name).rglob('*'))
   files = {f.relative_to(sources).as_posix() for f in packages if f.is_file()}
   assert files == {name for name in names if '.dist-info/' not in name}
@@ -89,7 +93,7 @@ def test_sdists_and_editable_installs_compile_nothing(tmp_path):
   assert 'cvn:' not in errors
   with tarfile.open(sdist) as f:
     names = [name.split('/', 1)[-1] for name in f.getnames()]
-  assert 'build_backend.py' in names and 'cvn/ops/kernels/kernels.cc' in names
+  assert {'build_backend.py', 'cvn/ops/kernels/kernels.cc', *DOCUMENTS} <= {*names}
   assert not [name for name in names if name.endswith('.so')]
   editable, errors = run_hook(sources, 'build_editable', tmp_path)
   assert 'cvn:' not in errors

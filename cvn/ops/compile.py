@@ -81,6 +81,12 @@ def describe_processor() -> str:
   return ''.join(sorted(lines or {platform.processor()})) + platform.machine()
 
 
+def processor_name() -> str:
+  """The processor's name for people, as far as the system tells it."""
+  names = (line.split(':', 1)[1].strip() for line in _cpu_lines() if line.startswith('model name'))
+  return next(names, '') or platform.processor() or platform.machine()
+
+
 def find_compiler() -> str:
   """The command of the C++ compiler: $CXX, or the first that is installed.
 

@@ -14,12 +14,17 @@ from jax import lax
 
 from cvn.ops import dispatch
 from cvn.ops.derivatives import with_derivatives
+from cvn.ops.dispatch import Implementation
 
 _CHANNELS = 16  # the kernels take multiples
 
 
 def conv2d(
-  x: jax.Array, kernel: jax.Array, *, mixed: bool = False, implementation: str = 'auto'
+  x: jax.Array,
+  kernel: jax.Array,
+  *,
+  mixed: bool = False,
+  implementation: Implementation = 'auto',
 ) -> jax.Array:
   """[..., H, W, in], [size, size, in, out] -> [..., H / 2, W / 2, out] float32.
 
@@ -27,7 +32,7 @@ def conv2d(
     x: H and W are even. Other floating types than float32 are cast, also those of `kernel`.
     kernel: of the size 2 or more.
     mixed: whether factors of products may be rounded to bfloat16, where that is faster.
-    implementation: one of dispatch.IMPLEMENTATIONS.
+    implementation: see dispatch.py.
 
   Raises:
     ValueError: shapes do not fit, or the implementation is unknown.
@@ -72,23 +77,24 @@ def library_conv2d(x: jax.Array, kernel: jax.Array) -> jax.Array:
   )
 
 
-def _kernel(mixed, x, kernel):
+def _kernel(mixed, library, x, kernel):
   b, h, w, _ = x.shape
   y = jax.ShapeDtypeStruct((b, h // 2, w // 2, kernel.shape[-1]), jnp.float32)
-  return dispatch.call('cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))
+  return dispatch.call(library, 'cvn_conv2d', [y], x, kernel, mixed=np.bool_(mixed))
 
 
 def _gradient(choose, mixed, arrays, _, cotangents):
   """Those of x and kernel, each a call of its own: one that nobody needs is not made."""
 
-  def of_x(x, kernel, dy):
-    dx = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return dispatch.call('cvn_conv2d_input_gradient', [dx], dy, kernel, mixed=np.bool_(mixed))[0]
+  call = functools.partial(dispatch.call, mixed=np.bool_(mixed))
 
-  def of_kernel(x, kernel, dy):
+  def of_x(library, x, kernel, dy):
+    dx = jax.ShapeDtypeStruct(x.shape, x.dtype)
+    return call(library, 'cvn_conv2d_input_gradient', [dx], dy, kernel)[0]
+
+  def of_kernel(library, x, kernel, dy):
     terms = jax.ShapeDtypeStruct((len(x), *kernel.shape), jnp.float32)
-    name = 'cvn_conv2d_kernel_gradient'
-    found = dispatch.call(name, [terms], x, dy, volumes=(0, 1), mixed=np.bool_(mixed))
+    found = call(library, 'cvn_conv2d_kernel_gradient', [terms], x, dy, volumes=(0, 1))
     return dispatch.sum_samples(found[0])
 
   def plain(number, *operands):

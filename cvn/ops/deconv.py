@@ -24,7 +24,8 @@ from jax import lax
 
 from cvn.ops import dispatch, matmul
 from cvn.ops.derivatives import with_derivatives
-from cvn.ops.normalization import Activation, activated
+from cvn.ops.dispatch import Implementation
+from cvn.ops.normalization import Activation, activated, sum_channels
 
 _DIMENSIONS = ('NXYZC', 'XYZIO', 'NXYZC')
 
@@ -37,7 +38,7 @@ def deconv(
   activation: Activation,
   *,
   dtype: Any = None,
-  implementation: str = 'auto',
+  implementation: Implementation = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
   """Stride-2 transposed convolution of activation(scale x + shift).
 
@@ -47,7 +48,7 @@ def deconv(
     kernel: [3, 3, 3, in, out].
     activation: before the product.
     dtype: of the result, float32 or bfloat16; None for that of `x`.
-    implementation: one of dispatch.IMPLEMENTATIONS.
+    implementation: see dispatch.py.
 
   Returns:
     (y [..., 2X, 2Y, 2Z, out], sums [2, out] of y and of its square).
@@ -67,7 +68,7 @@ def conv(
   kernel: jax.Array,
   activation: Activation,
   *,
-  implementation: str = 'auto',
+  implementation: Implementation = 'auto',
 ) -> tuple[jax.Array, jax.Array]:
   """Convolution of activation(scale x + shift), with zeros around it.
 
@@ -76,7 +77,7 @@ def conv(
     scale, shift: [in].
     kernel: [3, 3, 3, in, out].
     activation: before the product.
-    implementation: one of dispatch.IMPLEMENTATIONS.
+    implementation: see dispatch.py.
 
   Returns:
     (y [..., X, Y, Z, out] float32, sums [2, out] of y and of its square).
@@ -152,7 +153,7 @@ def _run(name, x, scale, shift, kernel, activation, dtype, implementation):
       f'{name} takes x [..., X, Y, Z, in], scale and shift [in] and a kernel [3, 3, 3, in, out]:'
       f' {", ".join(map(str, shapes))}'
     )
-  x = dispatch.as_float(f'{name}: x', x, dispatch.VOLUMES)
+  x = dispatch.as_float(f'{name}: x', x, allowed=dispatch.VOLUMES)
   dtype = jnp.dtype(dtype or x.dtype)
   if dtype not in dispatch.VOLUMES:
     raise TypeError(f'{name}: the result can be float32 or bfloat16: {dtype}')
@@ -181,7 +182,7 @@ def _run(name, x, scale, shift, kernel, activation, dtype, implementation):
   return y.reshape(*x.shape[:-4], *y.shape[1:]), sums
 
 
-def _kernel(name, activation, dtype, x, scale, shift, kernel):
+def _kernel(name, activation, dtype, library, x, scale, shift, kernel):
   """(y, sums) of the compiled kernel."""
   b, *size, _ = x.shape
   factor, cout = 2 if name == 'deconv' else 1, kernel.shape[-1]
@@ -190,12 +191,12 @@ def _kernel(name, activation, dtype, x, scale, shift, kernel):
     jax.ShapeDtypeStruct((b, 2, cout), jnp.float32),
   ]
   y, sums = dispatch.call(
-    f'cvn_{name}', results, x, scale, shift, kernel, activation=activation.number
+    library, f'cvn_{name}', results, x, scale, shift, kernel, activation=activation.number
   )
   return y, sums.sum(0)
 
 
-def _kernel_gradient(name, activation, arrays, results, cotangents):
+def _kernel_gradient(name, activation, library, arrays, results, cotangents):
   """Those of x, scale, shift and kernel, of the compiled kernel."""
   (x, scale, shift, kernel), (y, _), (dy, dsums) = arrays, results, cotangents
   taps, (cin, cout) = kernel.shape[:3], kernel.shape[3:]
@@ -206,7 +207,7 @@ def _kernel_gradient(name, activation, arrays, results, cotangents):
     jax.ShapeDtypeStruct((len(x), *order), jnp.float32),
   ]
   dx, dcoefficients, dkernel = dispatch.call(
-    f'cvn_{name}_gradient', found, x, scale, shift, kernel, y, dy, dsums,
+    library, f'cvn_{name}_gradient', found, x, scale, shift, kernel, y, dy, dsums,
     volumes=(0, 4, 5), activation=activation.number,
   )  # fmt: skip
   dshift, dscale = dcoefficients.sum(0)
@@ -223,8 +224,7 @@ def _plain(name, activation, dtype, *arrays):
   def of_library(x, scale, shift, kernel):
     a = activated(x, scale, shift, activation)
     y = _LIBRARY[name][0](a, kernel.astype(x.dtype)).astype(dtype)
-    wide, axes = y.astype(jnp.float32), (0, 1, 2, 3)
-    return y, jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+    return y, sum_channels(y)
 
   return dispatch.product(of_matrices, of_library, *arrays)
 

@@ -3,17 +3,20 @@
 `implementation` is an argument of every operation and every network:
 
   'auto'     on a CPU the compiled kernels (native.py) if this machine has them and they win,
-             otherwise plain operations; derivatives that no kernel computes are those of the plain
-             operations
+             otherwise as 'plain'; derivatives that no kernel computes are those of plain operations
   'kernels'  the compiled kernels, or an error
-  'xla'      plain JAX operations and their derivatives: on a CPU matrix products (matmul.py), and
-             XLA's convolution elsewhere
+  'plain'    plain JAX operations, with gradients of their own: on a CPU matrix products
+             (matmul.py), and XLA's convolution elsewhere
+  'xla'      plain JAX operations, with the derivatives that JAX makes
+  a Library  the kernels of this library (native.load), or an error
 
-The platform is known when a function is lowered, and the choice is made then.
+The platform is known when a function is lowered, and the choice is made then. Only where the
+default device is a CPU does 'auto' look for kernels at all: an accelerator's process compiles none.
 """
 
 import contextlib
 import contextvars
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -25,19 +28,20 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from cvn.ops import native
 
-IMPLEMENTATIONS = ('auto', 'kernels', 'xla')
+IMPLEMENTATIONS = ('auto', 'kernels', 'plain', 'xla')
+Implementation = str | native.Library
 VOLUMES = (jnp.float32, jnp.bfloat16)  # types that volumes may have
 
 _convolutions = contextvars.ContextVar('convolutions', default=False)
 
 
-def check(implementation: str) -> None:
+def check(implementation: Implementation) -> None:
   """Refuses an unknown implementation.
 
   Raises:
-    ValueError: it is none of `IMPLEMENTATIONS`.
+    ValueError: it is neither one of `IMPLEMENTATIONS` nor a library.
   """
-  if implementation not in IMPLEMENTATIONS:
+  if not isinstance(implementation, native.Library) and implementation not in IMPLEMENTATIONS:
     raise ValueError(f'implementation must be one of {IMPLEMENTATIONS}: {implementation!r}')
 
 
@@ -46,7 +50,7 @@ def choose(
   kernel: Callable,
   plain: Callable,
   *arrays: Any,
-  implementation: str,
+  implementation: Implementation,
   mixed: bool,
   misfit: str = '',
 ) -> Any:
@@ -54,33 +58,43 @@ def choose(
 
   Args:
     operation: 'deconv', 'conv', 'conv2d' or 'activated'.
-    kernel: for a CPU.
-    plain: for every platform.
+    kernel: (library, *arrays), for a CPU.
+    plain: (*arrays), for every platform.
     *arrays: arguments of both.
-    implementation: 'auto' or 'kernels'.
+    implementation: any but 'xla'.
     mixed: whether factors of products are bfloat16.
     misfit: why the kernel does not take these shapes, if it does not.
 
   Raises:
-    RuntimeError: 'kernels' are asked for, and this process has none.
-    ValueError: 'kernels' are asked for, and the shapes do not fit.
+    RuntimeError: kernels are asked for, and this process has none.
+    ValueError: kernels are asked for, and the shapes do not fit.
   """
-  if implementation == 'kernels':
-    if not native.available():
-      raise RuntimeError(
-        f"implementation='kernels': no compiled kernels ({native.missing()}); 'auto' and 'xla' do"
-        ' without'
-      )
-    if misfit:
-      raise ValueError(f"implementation='kernels': {misfit}; 'auto' and 'xla' take it")
-    return lax.platform_dependent(*arrays, cpu=kernel)
-  if misfit or not native.wins(operation, mixed=mixed):
+  if implementation == 'plain':
     return plain(*arrays)
-  return lax.platform_dependent(*arrays, cpu=kernel, default=plain)
+  if implementation == 'auto':
+    library = native.library() if not misfit and _default_platform() == 'cpu' else None
+    if library is None or not native.wins(library, operation, mixed=mixed):
+      return plain(*arrays)
+    return lax.platform_dependent(*arrays, cpu=functools.partial(kernel, library), default=plain)
+  library = native.library() if implementation == 'kernels' else implementation
+  if library is None:
+    raise RuntimeError(
+      f"implementation='kernels': no compiled kernels ({native.missing()}); 'auto' and 'xla' do"
+      ' without'
+    )
+  if misfit:
+    raise ValueError(f"implementation='kernels': {misfit}; 'auto' and 'xla' take it")
+  return lax.platform_dependent(*arrays, cpu=functools.partial(kernel, library))
 
 
 def product(on_cpu: Callable, elsewhere: Callable, *arrays: Any) -> jax.Array:
-  """Calls one of two plain programs of a product: matrix products on a CPU, or a convolution."""
+  """Calls one of two plain programs of a product.
+
+  Args:
+    on_cpu: (*arrays), as matrix products.
+    elsewhere: (*arrays), as a convolution.
+    *arrays: arguments of both.
+  """
   if _convolutions.get():
     return elsewhere(*arrays)
   return lax.platform_dependent(*arrays, cpu=on_cpu, default=elsewhere)
@@ -99,7 +113,7 @@ def convolutions_everywhere() -> Iterator[None]:
     _convolutions.reset(token)
 
 
-def as_float(name: str, x: jax.Array, allowed: Sequence[Any] = VOLUMES[:1]) -> jax.Array:
+def as_float(name: str, x: jax.Array, *, allowed: Sequence[Any] = VOLUMES[:1]) -> jax.Array:
   """x if its type is one of those allowed, else as float32; refuses what is no real number.
 
   Gradients of what was cast have its own type.
@@ -127,6 +141,7 @@ def alike(*arrays: jax.Array) -> list[jax.Array]:
 
 
 def call(
+  library: native.Library,
   name: str,
   results: Sequence[jax.ShapeDtypeStruct],
   *arrays: jax.Array,
@@ -134,7 +149,7 @@ def call(
   in_place: int | None = None,
   **attributes: Any,
 ) -> tuple[jax.Array, ...]:
-  """Calls a kernel, which is there on a CPU if `native.available`.
+  """Calls a kernel of a library; only a CPU has it.
 
   Where a batch is spread over the devices of a mesh, each device calls it for its own samples. The
   mesh is that of `jax.set_mesh` or of the arrays that are placed on it; a function that `jax.jit`
@@ -144,6 +159,7 @@ def call(
   mapped, the kernel is called for one element of the axis after another.
 
   Args:
+    library: whose kernel it is.
     name: one of `native.KERNELS`.
     results: their shapes and types; the first axis is the batch.
     *arrays: the kernel's operands.
@@ -169,7 +185,7 @@ def call(
       }
     )
     found = jax.ffi.ffi_call(
-      native.target(name),
+      name + library.suffix,
       of_batch(len(arrays[volumes[0]]), **types),
       input_output_aliases={} if in_place is None else {in_place: 0},
     )(*arrays, **attributes)
@@ -188,7 +204,7 @@ def call(
       def one(some):
         some = iter(some)
         whole = [next(some) if m else x for x, m in zip(arrays, is_mapped, strict=True)]
-        return call(name, results, *whole, **options)
+        return call(library, name, results, *whole, **options)
 
       found = lax.map(one, mapped)
     else:
@@ -201,7 +217,7 @@ def call(
         flat(x, m) if n in volumes else x
         for n, (x, m) in enumerate(zip(arrays, is_mapped, strict=True))
       ]
-      found = call(name, of_batch(size * batch), *whole, **options)
+      found = call(library, name, of_batch(size * batch), *whole, **options)
       found = tuple(x.reshape(size, batch, *x.shape[1:]) for x in found)
     return found, (True,) * len(found)
 
@@ -211,6 +227,12 @@ def call(
 def sum_samples(x: jax.Array) -> jax.Array:
   """x.sum(0), as a product: the compiler's own sum over the first axis is slow."""
   return (jnp.ones((1, len(x)), x.dtype) @ x.reshape(len(x), -1)).reshape(x.shape[1:])
+
+
+def _default_platform():
+  """'cpu', or that of an accelerator: where a function runs if nothing else is said."""
+  device = jax.config.jax_default_device  # a Device, the name of a platform, or None
+  return getattr(device, 'platform', device) or jax.default_backend()
 
 
 def _over_devices(run, count, *arrays, volumes):

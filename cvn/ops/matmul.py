@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cvn.ops.normalization import Activation, activated
+from cvn.ops.normalization import Activation, activated, sum_channels
 
 _DECONV_ROWS, _CONV_ROWS = 4096, 8192  # voxels of x in a slab, at most
 _BLOCK = 4  # voxels along z that conv takes together, at most
@@ -39,11 +39,18 @@ def deconv(
   activation: Activation,
   dtype: Any,
 ) -> tuple[jax.Array, jax.Array]:
-  """(y, sums); y has that type.
+  """The deconvolution: (y, sums), see deconv.py.
 
   Along an axis, output 2j reads (a[j], w[0]) and (a[j-1], w[2]), output 2j+1 reads (a[j], w[1]). So
   an even plane of y is a product of eight shifted copies of a, an odd plane one of four; 27 of 48
   blocks of the two matrices are filled.
+
+  Args:
+    x: [B, X, Y, Z, in].
+    scale, shift: [in].
+    kernel: [3, 3, 3, in, out].
+    activation: before the product.
+    dtype: of y.
   """
   b, *size, cin = x.shape
   slabs, cout = _slabs(x.shape, _DECONV_ROWS), kernel.shape[-1]
@@ -70,7 +77,7 @@ def deconv(
       return y.reshape(n, s, 2 * sy, 2 * sz, cout)
 
     y = jnp.stack([planes(copies, even), planes(copies[:4], odd)], 2).astype(dtype)
-    return None, (y, _sums(y))
+    return None, (y, sum_channels(y))
 
   _, (y, sums) = _scan(slab, _split(x, slabs), _split(before, slabs))
   return y.reshape(b, *(2 * s for s in size), cout), jnp.sum(sums, 0)
@@ -86,9 +93,14 @@ def deconv_gradient(
   dy: jax.Array,
   dsums: jax.Array,
 ) -> tuple[jax.Array, ...]:
-  """Gradients of x, scale, shift and kernel from the cotangents of y and sums.
+  """Gradients of x, scale, shift and kernel.
 
   Output 2j + t reads a[j] by tap t, so that row j of the copies holds the 27 outputs behind 2j.
+
+  Args:
+    x, scale, shift, kernel, activation: as of `deconv`.
+    y: its result.
+    dy, dsums: cotangents of its results.
   """
   slabs, (cin, cout) = _slabs(x.shape, _DECONV_ROWS), kernel.shape[-2:]
   step = 2 * slabs[2]
@@ -117,11 +129,18 @@ def conv(
   activation: Activation,
   dtype: Any,
 ) -> tuple[jax.Array, jax.Array]:
-  """(y, sums); y has that type.
+  """The convolution: (y, sums), see deconv.py.
 
   One product makes what each block of voxels along z gives to the voxels that it reaches: 3 x 3
   rows, each of the block's length and 2 more. The loop sums the rows over y. The sums over x come
   after it, since a slab also gives to planes of its neighbours, and then the overlaps along z.
+
+  Args:
+    x: [B, X, Y, Z, in].
+    scale, shift: [in].
+    kernel: [3, 3, 3, in, out].
+    activation: before the product.
+    dtype: of y.
   """
   b, sx, sy, sz, cin = x.shape
   slabs, cout, block = _slabs(x.shape, _CONV_ROWS), kernel.shape[-1], math.gcd(sz, _BLOCK)
@@ -148,7 +167,7 @@ def conv(
   y += _pad(_pad(given[:, :, :, 1:, :1], 3, (0, 1)), 4, (end, 0))  # the next block's first
   y += _pad(_pad(given[:, :, :, :-1, -1:], 3, (1, 0)), 4, (0, end))  # the last one's last
   y = y.reshape(b, sx, sy, sz, cout).astype(dtype)
-  return y, _sums(y)
+  return y, sum_channels(y)
 
 
 def conv_gradient(
@@ -161,9 +180,14 @@ def conv_gradient(
   dy: jax.Array,
   dsums: jax.Array,
 ) -> tuple[jax.Array, ...]:
-  """Gradients of x, scale, shift and kernel from the cotangents of y and sums.
+  """Gradients of x, scale, shift and kernel.
 
   The copies hold the cotangents of the 3 x 3 rows that a block gives to.
+
+  Args:
+    x, scale, shift, kernel, activation: as of `conv`.
+    y: its result.
+    dy, dsums: cotangents of its results.
   """
   sx, sy, sz = x.shape[1:4]
   slabs, block = _slabs(x.shape, _CONV_ROWS), math.gcd(sz, _BLOCK)
@@ -259,12 +283,6 @@ def _total(y, dy, dsums, dtype):
   first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
   total = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
   return total.astype(dtype).astype(jnp.float32)
-
-
-def _sums(y):
-  """[2, C]: of y and of its square, over all axes but the last."""
-  wide, axes = y.astype(jnp.float32), tuple(range(y.ndim - 1))
-  return jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
 
 
 def _pad(v, axis, widths):

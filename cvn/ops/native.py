@@ -16,7 +16,6 @@ source, the compiler, the target and jaxlib.
 """
 
 import atexit
-import contextlib
 import ctypes
 import functools
 import os
@@ -25,7 +24,6 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -61,12 +59,9 @@ class Library(NamedTuple):
   suffix: str  # of the names that its kernels are registered under
 
 
-_substitutes: list[Library | None] = []  # of `using`, the last one counts
-
-
 def library() -> Library | None:
   """This process's library, None if there is none; the first call builds it if it must."""
-  return _substitutes[-1] if _substitutes else _choose()[0]
+  return _choose()[0]
 
 
 def available() -> bool:
@@ -76,22 +71,18 @@ def available() -> bool:
 
 def missing() -> str:
   """Why this process has no compiled kernels; nothing if it has some."""
-  return '' if available() else _choose()[1] or 'none are in use'
+  return _choose()[1]
 
 
-def wins(operation: str, *, mixed: bool) -> bool:
-  """Whether a kernel is available, and at least as fast as the plain product on this processor.
-
-  None is built for a process that computes on an accelerator.
+def wins(library: Library, operation: str, *, mixed: bool) -> bool:
+  """Whether a kernel is at least as fast as the plain product on this processor.
 
   Args:
+    library: whose kernel it is; one whose timings are empty wins everywhere.
     operation: 'deconv', 'conv', 'conv2d' or 'activated', with the gradients.
     mixed: whether volumes, or the factors of conv2d, are bfloat16.
   """
-  found = library() if jax.default_backend() == 'cpu' else None
-  if found is None:
-    return False
-  times = found.timings.get(operation, {}).get('mixed' if mixed else 'float32')
+  times = library.timings.get(operation, {}).get('mixed' if mixed else 'float32')
   return times is None or timings.wins(times)
 
 
@@ -103,25 +94,6 @@ def faster_dtype() -> tuple[str, str]:
   if found is None:
     return 'float32', 'there are no compiled kernels, and plain products multiply float32'
   return timings.choose_dtype(found.timings)
-
-
-def target(kernel: str) -> str:
-  """The FFI target name of a kernel of `KERNELS` in this process's library."""
-  found = library()
-  return kernel + (found.suffix if found else '')
-
-
-@contextlib.contextmanager
-def using(substitute: Library | None) -> Iterator[None]:
-  """Replaces this process's library while a block runs, for measurements and tests.
-
-  It counts where functions are traced. A library whose timings are empty wins everywhere.
-  """
-  _substitutes.append(substitute)
-  try:
-    yield
-  finally:
-    _substitutes.pop()
 
 
 def load(path: pathlib.Path, *, suffix: str | None = None) -> Library:
@@ -150,9 +122,9 @@ def load(path: pathlib.Path, *, suffix: str | None = None) -> Library:
 
 
 def build(
+  *,
   folder: pathlib.Path | None = None,
   source: pathlib.Path = SOURCE,
-  *,
   target: str = compiling.NATIVE,
   options: tuple[str, ...] = ('-O3',),
 ) -> pathlib.Path:
@@ -243,7 +215,7 @@ def _compiled() -> pathlib.Path:
     )
     folder = tempfile.mkdtemp(prefix='cvn-')
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return build(pathlib.Path(folder), target=target)
+    return build(folder=pathlib.Path(folder), target=target)
 
 
 def _tell_failure(origin, e):

@@ -18,6 +18,7 @@ import numpy as np
 
 from cvn.ops import dispatch
 from cvn.ops.derivatives import with_derivatives
+from cvn.ops.dispatch import Implementation
 
 EPSILON = 1e-3  # of the authors' program
 
@@ -43,31 +44,76 @@ SIGMOID = Activation(jax.nn.sigmoid, lambda y: y * (1 - y), np.int64(2))
 IDENTITY = Activation(lambda x: x, jnp.ones_like, np.int64(0))
 
 
-def coefficients(mean, variance, gamma, beta):
-  """(scale, shift): what normalisation by these statistics multiplies with and adds, [C] all."""
+def sum_channels(x: jax.Array) -> jax.Array:
+  """The sums [2, C] of x [..., C] and of its square, in float32."""
+  wide, axes = x.astype(jnp.float32), tuple(range(x.ndim - 1))
+  return jnp.stack([jnp.sum(wide, axes), jnp.sum(wide * wide, axes)])
+
+
+def moments(sums: jax.Array, count: jax.typing.ArrayLike) -> tuple[jax.Array, jax.Array]:
+  """Mean and biased variance of each channel.
+
+  Args:
+    sums: [2, C], see `sum_channels`.
+    count: of the numbers in a channel.
+
+  Returns:
+    (mean [C], variance [C]).
+  """
+  mean, square = sums / count
+  return mean, jnp.maximum(square - mean * mean, 0)
+
+
+def coefficients(
+  mean: jax.Array, variance: jax.Array, gamma: jax.Array, beta: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+  """Batch normalisation by these statistics as one product and sum.
+
+  (x - mean) / sqrt(variance + EPSILON) * gamma + beta = scale x + shift
+
+  Args:
+    mean, variance: [C], the statistics.
+    gamma, beta: [C], the parameters.
+
+  Returns:
+    (scale [C], shift [C]).
+  """
   scale = gamma * jax.lax.rsqrt(variance + EPSILON)
   return scale, beta - mean * scale
 
 
-def activated(x, scale, shift, activation: Activation):
-  """activation(scale x + shift), made in float32, of the type of x; channels last."""
+def activated(
+  x: jax.Array, scale: jax.Array, shift: jax.Array, activation: Activation
+) -> jax.Array:
+  """activation(scale x + shift), computed in float32.
+
+  Args:
+    x: [..., C].
+    scale, shift: [C].
+    activation: the function.
+
+  Returns:
+    [..., C], of the type of x.
+  """
   z = x.astype(jnp.float32) * _spread(scale, x) + _spread(shift, x)
   return activation.value(z).astype(x.dtype)
 
 
-def affine(x, mean, variance, gamma, beta, activation: Activation):
-  """activation((x - mean) / sqrt(variance + EPSILON) * gamma + beta), channels last."""
-  return activated(x, *coefficients(mean, variance, gamma, beta), activation)
-
-
-def normalize(x, gamma, beta, activation: Activation, *, implementation: str = 'auto'):
+def normalize(
+  x: jax.Array,
+  gamma: jax.Array,
+  beta: jax.Array,
+  activation: Activation,
+  *,
+  implementation: Implementation = 'auto',
+) -> tuple[jax.Array, jax.Array, jax.Array]:
   """Normalises by the batch's own statistics.
 
   Args:
     x: [..., C]; other floating types than float32 are cast, also those of gamma and beta.
     gamma, beta: [C], the parameters of the batch normalisation.
     activation: applied after it.
-    implementation: one of dispatch.IMPLEMENTATIONS; all but 'xla' have the gradient above.
+    implementation: see dispatch.py; all but 'xla' have the gradient above.
 
   Returns:
     (y [..., C], mean [C], variance [C]): the variance is the biased one. No gradient flows through
@@ -94,20 +140,21 @@ def normalize(x, gamma, beta, activation: Activation, *, implementation: str = '
   )(*arrays)
 
 
-def moments(sums, x):
-  """(mean [C], biased variance [C]) of x, from the sums [2, C] of it and of its square."""
-  mean, square = sums / (x.size // x.shape[-1])
-  return mean, jnp.maximum(square - mean * mean, 0)
-
-
-def activate(x, scale, shift, activation: Activation, *, implementation: str = 'auto') -> jax.Array:
+def activate(
+  x: jax.Array,
+  scale: jax.Array,
+  shift: jax.Array,
+  activation: Activation,
+  *,
+  implementation: Implementation = 'auto',
+) -> jax.Array:
   """activation(scale x + shift) of a volume.
 
   Args:
     x: [..., X, Y, Z, C] float32 or bfloat16; other floating types are cast to float32.
     scale, shift: [C], cast to float32.
     activation: the function.
-    implementation: one of dispatch.IMPLEMENTATIONS.
+    implementation: see dispatch.py.
 
   Raises:
     ValueError: shapes do not fit, or the implementation is unknown.
@@ -122,7 +169,7 @@ def activate(x, scale, shift, activation: Activation, *, implementation: str = '
       f' {np.shape(shift)}'
     )
   arrays = dispatch.alike(
-    dispatch.as_float('activate: x', x, dispatch.VOLUMES).reshape(-1, *shape[-4:]),
+    dispatch.as_float('activate: x', x, allowed=dispatch.VOLUMES).reshape(-1, *shape[-4:]),
     dispatch.as_float('activate: scale', scale),
     dispatch.as_float('activate: shift', shift),
   )
@@ -149,9 +196,8 @@ def activate(x, scale, shift, activation: Activation, *, implementation: str = '
 
 
 def _normalize(activation, x, gamma, beta):
-  axes = tuple(range(x.ndim - 1))
-  mean, variance = moments(jnp.stack([jnp.sum(x, axes), jnp.sum(x * x, axes)]), x)
-  y = affine(x, mean, variance, gamma, beta, activation)
+  mean, variance = moments(sum_channels(x), x.size // x.shape[-1])
+  y = activated(x, *coefficients(mean, variance, gamma, beta), activation)
   return y, jax.lax.stop_gradient(mean), jax.lax.stop_gradient(variance)
 
 
@@ -170,12 +216,14 @@ def _normalize_gradient(activation, arrays, results, cotangents):
   return dz * _spread(scale, x) + x * _spread(slope, x) + _spread(rest, x), d_gamma, d_beta
 
 
-def _kernel(activation, x, scale, shift):
+def _kernel(activation, library, x, scale, shift):
   result = jax.ShapeDtypeStruct(x.shape, x.dtype)
-  return dispatch.call('cvn_activated', [result], x, scale, shift, activation=activation.number)
+  return dispatch.call(
+    library, 'cvn_activated', [result], x, scale, shift, activation=activation.number
+  )
 
 
-def _kernel_gradient(activation, arrays, _, cotangents):
+def _kernel_gradient(activation, library, arrays, _, cotangents):
   """Those of x, scale and shift."""
   x = arrays[0]
   found = [
@@ -183,7 +231,7 @@ def _kernel_gradient(activation, arrays, _, cotangents):
     jax.ShapeDtypeStruct((len(x), 2, x.shape[-1]), jnp.float32),
   ]
   dx, sums = dispatch.call(
-    'cvn_activated_gradient', found, *arrays, *cotangents,
+    library, 'cvn_activated_gradient', found, *arrays, *cotangents,
     volumes=(0, 3), in_place=3, activation=activation.number,
   )  # fmt: skip
   dshift, dscale = sums.sum(0)

@@ -31,7 +31,7 @@ class Layer(NamedTuple):
   """A layer of the networks, smaller."""
 
   operation: str
-  function: Callable  # (mixed, x, *arrays) -> arrays
+  function: Callable  # (mixed, implementation, x, *arrays) -> arrays
   shapes: tuple[tuple[int, ...], ...]  # of x and the other arrays
 
 
@@ -40,22 +40,24 @@ class Layer(NamedTuple):
 LAYERS = (
   Layer(
     'deconv',
-    lambda mixed, *arrays: deconv.deconv(*arrays, ELU),
+    lambda mixed, chosen, *arrays: deconv.deconv(*arrays, ELU, implementation=chosen),
     ((8, 16, 16, 16, 32), (32,), (32,), (3, 3, 3, 32, 24)),
   ),
   Layer(
     'conv',
-    lambda mixed, *arrays: deconv.conv(*arrays, ELU),
+    lambda mixed, chosen, *arrays: deconv.conv(*arrays, ELU, implementation=chosen),
     ((8, 32, 32, 32, 24), (24,), (24,), (3, 3, 3, 24, 1)),
   ),
   Layer(
     'activated',
-    lambda mixed, *arrays: (normalization.activate(*arrays, SIGMOID),),
+    lambda mixed, chosen, *arrays: (
+      normalization.activate(*arrays, SIGMOID, implementation=chosen),
+    ),
     ((8, 32, 32, 32, 1), (1,), (1,)),
   ),
   Layer(
     'conv2d',
-    lambda mixed, *arrays: (conv2d.conv2d(*arrays, mixed=mixed),),
+    lambda mixed, chosen, *arrays: (conv2d.conv2d(*arrays, mixed=mixed, implementation=chosen),),
     ((8, 32, 32, 64), (5, 5, 64, 64)),
   ),
 )
@@ -85,9 +87,8 @@ def measure(library: native.Library, layer: Layer) -> dict[str, tuple[float, flo
   steps = []
   for dtype, tolerance in TOLERANCES.items():
     arguments, results = _draw(layer, dtype == 'mixed'), []
-    for chosen in (library, None):
-      with native.using(chosen):
-        program = _make_step(layer, dtype == 'mixed').lower(*arguments).compile()
+    for chosen in (library, 'plain'):
+      program = _make_step(layer, dtype == 'mixed', chosen).lower(*arguments).compile()
       results.append(jax.block_until_ready(program(*arguments)))
       steps.append((program, arguments))
     difference = np.max([*map(_difference, *results)])  # NaN if there is one
@@ -114,11 +115,11 @@ def _draw(layer, mixed):
   return jnp.asarray(first, jnp.bfloat16 if mixed and volumes else jnp.float32), *rest
 
 
-def _make_step(layer, mixed):
+def _make_step(layer, mixed, implementation):
   """The value and all gradients; the cotangent is the value, of about the same size."""
 
   def step(*arguments):
-    value, pull = jax.vjp(lambda *a: layer.function(mixed, *a), *arguments)
+    value, pull = jax.vjp(lambda *a: layer.function(mixed, implementation, *a), *arguments)
     # Sums over all voxels have a cotangent as large as that of a voxel.
     cotangent = [v / (1 if n == 0 else value[0].size) for n, v in enumerate(value)]
     return *value, *pull(tuple(cotangent))

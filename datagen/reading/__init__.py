@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh, check
+from datagen.geometry.mesh import TexturedMesh, check
 from datagen.reading import headers
 from datagen.reading.colors import grey
 from datagen.reading.dae import read_dae

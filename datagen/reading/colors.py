@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from datagen import notes as notes_lib
-from datagen.mesh import NO_COLOR
+from datagen.geometry.mesh import NO_COLOR
+from datagen.reading import notes as notes_lib
 
 
 def as_rgba(colors: np.ndarray, notes: set[str] | None = None) -> np.ndarray:

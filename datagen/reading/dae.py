@@ -14,8 +14,8 @@ from collada import common, material, polylist, scene, triangleset
 from collada.controller import Morph, Skin
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
 from datagen.reading import headers
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.parts import MASK, UNKNOWN, Part, Picture, placed
 from datagen.reading.polygons import cut_mixed

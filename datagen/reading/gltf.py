@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.gltf_accessors import Document, items, packed, raw_values, values
 from datagen.reading.gltf_materials import appearance
 from datagen.reading.gltf_pose import instances, joint_matrices, local, skinned, worlds

@@ -11,7 +11,7 @@ MASK cuts holes. BLEND is glass, which is surface, except where next to nothing 
 import numpy as np
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey, linear_to_srgb
 from datagen.reading.gltf_accessors import items, raw_values, read_uri, values, view
 from datagen.reading.images import is_ktx2

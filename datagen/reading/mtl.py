@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.surroundings import read_text
 
 # How many words stand behind an option of a texture; more than one may be left out.

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
 from datagen.reading import headers
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.obj_materials import dressed, named_materials
 from datagen.reading.parts import Part

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.mtl import Material, find_material, read_mtl
 from datagen.reading.parts import MASK, UNKNOWN, Part, Picture

@@ -8,8 +8,8 @@ import re
 import numpy as np
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
 from datagen.reading import headers
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.parts import Part
 from datagen.reading.polygons import cut_mixed

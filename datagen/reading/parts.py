@@ -17,8 +17,8 @@ import PIL.Image
 from scipy import ndimage
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
-from datagen.mesh import CUTOUT_ALPHA, REPEAT, TexturedMesh
+from datagen.geometry.mesh import CUTOUT_ALPHA, REPEAT, TexturedMesh
+from datagen.reading import notes as notes_lib
 from datagen.reading.images import check_image, to_rgba
 
 INVISIBLE_ALPHA = 0.05

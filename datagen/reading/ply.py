@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
 from datagen.reading import headers
+from datagen.reading import notes as notes_lib
 from datagen.reading.colors import as_rgba, grey
 from datagen.reading.parts import Part, Picture
 from datagen.reading.ply_columns import read_columns

@@ -10,7 +10,7 @@ import urllib.parse
 from typing import NamedTuple
 
 from cvn.errors import UserError
-from datagen import notes as notes_lib
+from datagen.reading import notes as notes_lib
 from datagen.reading.files import Files, find, is_elsewhere
 
 # Folders of pictures beside a model or beside its folder; case does not matter.
@@ -24,7 +24,7 @@ class Surroundings(NamedTuple):
   folder: str  # of the mesh file; '' is the topmost
   stem: str  # of its name
   missing: set[str]  # files and materials that are named in vain
-  notes: set[str]  # of datagen.notes
+  notes: set[str]  # of datagen.reading.notes
   found: dict[tuple[str, str], tuple[str, bytes] | None]  # what was looked for before
 
 

@@ -17,7 +17,7 @@ import zlib
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources import SourceModel, mesh_folder
 from datagen.sources.people import data, person
 

@@ -6,7 +6,7 @@ import zlib
 from collections import Counter
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.reading import EXTENSIONS, read_mesh
 from datagen.reading.files import Files, folder_files
 from datagen.sources import SourceModel

@@ -11,7 +11,7 @@ import zlib
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources import SourceModel
 from datagen.sources.shapes.parts import assemble
 

@@ -24,7 +24,7 @@ import re
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.reading import read_mesh
 from datagen.reading.files import Files, archive_files, folder_files
 from datagen.sources import SourceModel

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.errors import UserError
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.reading import EXTENSIONS, read_mesh
 from datagen.reading.files import archive_files
 from datagen.sources import SourceModel

@@ -1,7 +1,7 @@
-"""What pages are made of: templates, style sheets and scripts, which are files, and pictures."""
+"""The parts of pages: templates, style sheets and scripts, which are files, and pictures."""
 
 import io
-import re
+import string
 from importlib import resources
 
 import numpy as np
@@ -14,21 +14,8 @@ def read(package: str, name: str) -> str:
 
 
 def fill(package: str, name: str, **parts: str) -> str:
-  """A page with its parts in the places {name} that it has for them.
-
-  Args:
-    package: that has the page.
-    name: of its file.
-    **parts: what is put in; as it is, so that texts must have been escaped.
-
-  Raises:
-    ValueError: the page has no such place, or has a place for another part.
-  """
-  pieces = re.split(r'\{([a-z]+)\}', read(package, name))
-  if {*pieces[1::2]} != {*parts}:
-    raise ValueError(f'{name} has places for {pieces[1::2]}, not for {[*parts]}')
-  pieces[1::2] = [parts[place] for place in pieces[1::2]]
-  return ''.join(pieces)
+  """A page with its places ${name} filled by parts that are already escaped."""
+  return string.Template(read(package, name)).substitute(parts)
 
 
 def to_png(image: np.ndarray) -> bytes:

@@ -1,4 +1,4 @@
-"""Deviations from the paper's protocol, as the stored configurations of runs tell them."""
+"""Deviations from the paper's protocol, read from the stored configurations of runs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -18,28 +18,28 @@ PAPER = {
   'views seen by a network': f'{PAPER_VIEWS[0]:,} to {PAPER_VIEWS[1]:,}',
   'arithmetic': 'float32',
   'BatchNorm at test time': 'running averages',
-  'seeds': 'not said',
+  'seeds': 'not stated',
 }
 
 
 def find_differences(
   used: Iterable[Run], tested: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, str]:
-  """How runs and test models differ from the paper's.
+  """The deviations of runs and test models from the paper's.
 
   Args:
     used: the runs of all networks.
     tested: `category` and `source` of each test model, by id.
 
   Returns:
-    Keys of `PAPER`, and what was done here.
+    Our values by the keys of `PAPER`.
   """
   found = describe(list(used)) | {'models to test on': count_models(tested)}
   return {k: v for k, v in found.items() if v != PAPER[k]}
 
 
 def describe(used: Sequence[Run]) -> dict[str, str]:
-  """What the configurations of runs say of the keys of `PAPER`; several values by commas."""
+  """The values of runs by the keys of `PAPER`; different values are separated by commas."""
   counts: dict[str, None] = {}
   for run in used:
     counts |= dict.fromkeys(f'{n:,} {name}' for name, n in run.config['counts'].items())
@@ -55,13 +55,13 @@ def describe(used: Sequence[Run]) -> dict[str, str]:
 
 
 def say_scope(used: Iterable[Run]) -> str:
-  """Whether each network was trained on one category."""
+  """Whether networks were trained on one category or on all, in words."""
   single = {len(run.config['category']) == 1 for run in used}
   return _distinct('one a category' if s else 'one for all categories' for s in sorted(single))
 
 
 def say_training(used: Iterable[Run]) -> str:
-  """Which networks these are, as a sentence of a caption."""
+  """The scope, the epochs and the seeds of networks, for a caption."""
   used = list(used)
   epochs = _distinct(f'{runs.epochs_of(run):.4g}' for run in used)
   seeds = _distinct(str(run.config['seed']) for run in used)
@@ -69,7 +69,7 @@ def say_training(used: Iterable[Run]) -> str:
 
 
 def count_models(models: Mapping[str, Mapping[str, Any]]) -> str:
-  """How many models of each category and source there are."""
+  """The number of models of each category and source, in words."""
   counts: dict[str, int] = {}
   for m in models.values():
     name = f'{m["category"]} ({m["source"]})'

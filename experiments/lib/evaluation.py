@@ -85,7 +85,9 @@ def make_options(s: Settings, dataset: Dataset) -> dict[str, Any]:
   `runs` has the configuration of each network and the step of its checkpoint. The digest covers the
   models of all splits: thresholds are chosen on val, baselines are made from train.
   """
-  rows = [row for split in SPLITS for row in data.select_rows(dataset, split, s.category)]
+  rows = [
+    row for split in SPLITS for row in data.select_rows(dataset, split, categories=s.category)
+  ]
   networks = {'shape': s.shape, 'color': s.color}
   return {
     'data': dataset.root,

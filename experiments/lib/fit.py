@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from cvn import checkpoint, data, journal, parallel
+from cvn import checkpoint, data, parallel
 from cvn.errors import UserError
-from experiments.lib import nonfinite
+from experiments.lib import journal, nonfinite
 
 
 class Intervals(NamedTuple):

@@ -1,7 +1,4 @@
-"""Test models and views of them, drawn at random and not chosen: what figures and studies show.
-
-Whoever gives the same seed sees the same ones.
-"""
+"""Random test models and views, for figures and studies. The same seed gives the same ones."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -36,22 +33,22 @@ def choose(
   per_category: int,
   seed: int,
 ) -> list[Pick]:
-  """Random models of the split test, so many of each category, and a random view of each.
+  """Random models of the split test for each category, and a random view of each.
 
   Args:
     dataset: the open data set.
     categories: in the order of the result.
     sources: of the models; all by default.
-    per_category: models of each category, where it has as many.
+    per_category: maximum number of models of each category.
     seed: of the choice.
 
   Raises:
-    UserError: there is no finished one.
+    UserError: there is no finished model.
   """
   rng = np.random.default_rng(seed)
   picks = []
   for category in categories:
-    rows = data.select_rows(dataset, 'test', [category], sources)
+    rows = data.select_rows(dataset, 'test', categories=[category], sources=sources)
     for row in rng.permutation(rows)[:per_category]:
       picks.append(of(dataset, row, rng.integers(len(dataset.manifest.azimuths))))
   if not picks:
@@ -65,6 +62,6 @@ def categories_of(picks: Iterable[Pick]) -> list[str]:
 
 
 def to_json(pick: Pick) -> dict[str, str | float]:
-  """What is told of a pick beside a figure."""
-  told = {k: v for k, v in pick.model._asdict().items() if k != 'split'}
-  return {'azimuth': pick.azimuth, **told}
+  """A pick as JSON values, with the creator and the licence of the model."""
+  model = {k: v for k, v in pick.model._asdict().items() if k != 'split'}
+  return {'azimuth': pick.azimuth, **model}

@@ -106,7 +106,7 @@ def read_flags(f: flags.FlagValues) -> Plan:
 
 
 def categories(plan: Plan) -> list[str]:
-  """The plan's categories or, where it names none, the data set's, the paper's first.
+  """The plan's categories; by default all of the data set, the paper's first.
 
   Raises:
     UserError: the data set has no such category.
@@ -120,13 +120,13 @@ def categories(plan: Plan) -> list[str]:
 
 
 def train(plan: Plan, training: str, category: str, seed: str) -> Run:
-  """Trains a network, or what is missing of it.
+  """Trains a network, unless that is done.
 
   Args:
     plan: how.
     training: a key of `TRAININGS`.
     category: or `ALL`.
-    seed: of everything random.
+    seed: of the training.
 
   Raises:
     UserError: the folder has a network that was trained otherwise.
@@ -166,7 +166,7 @@ def evaluate(
     plan: how.
     method: a key of `METHODS`.
     category: of the models it was trained on and is evaluated on, or `ALL`.
-    seed: of everything random.
+    seed: of the training.
     split: to evaluate on.
     threshold: 'paper' or 'val', instead of the plan's.
 

@@ -1,4 +1,4 @@
-"""How well networks do on a model of a data set: what experiments.evaluate takes means of."""
+"""The metrics of networks on a model of a data set; experiments.evaluate averages them."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -13,17 +13,17 @@ from cvn.infer import Network
 
 METRICS = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB', 'psnr_ycbcr': 'PSNR YCbCr'}
 
-# The true colours are rounded to 8 bits, a squared error of 1/12. A view that comes closer than it
-# (an object of one colour, sampled) would otherwise weigh more than all the others.
+# The true colours are rounded to 8 bits, a squared error of 1/12. A view with a smaller error (an
+# object of one colour, sampled) would otherwise outweigh all the others.
 PSNR_CEILING = 10 * math.log10(12 * 255**2)  # 58.9 dB
 
-# Thresholds to choose from: probabilities, or the lowest channel of the joint baseline's volume.
+# Candidates for thresholds: probabilities, or the lowest channel of the adapted 3D-R2N2's volume.
 PROBABILITIES = np.linspace(0.02, 0.98, 49)
 CHANNELS = np.linspace(-0.48, 0.48, 49)
 
 
 class Baseline(NamedTuple):
-  """What a category's training models have in common."""
+  """The trivial baselines of a category, made from its training models."""
 
   occupancy: np.ndarray  # [X, Y, Z] bool
   color: np.ndarray  # [3] in [0, 1]
@@ -33,7 +33,7 @@ def load(workdir: str, kinds: Sequence[str], dataset: Dataset) -> Network:
   """A network of one of the kinds, for the data set's sizes.
 
   Raises:
-    UserError: there is none, or it is for data of another size.
+    UserError: the folder has none, or it is for data of another size.
   """
   m = dataset.manifest
   return infer.load(workdir, *kinds, image_size=m.image_size, grid_size=m.grid_size)
@@ -58,7 +58,7 @@ def threshold_curve(
     dataset: the open data set.
     rows: of at least one model.
     shape: the network that scores voxels.
-    flip: whether to take means with the mirrored views, see cvn.infer.
+    flip: whether to average with the mirrored views, see cvn.infer.
     carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
@@ -89,7 +89,7 @@ def choose_alpha(
 ) -> float:
   """The alpha of the best mean surface PSNR in RGB over all views of the rows' models.
 
-  The first one where no view has any occupied voxel. Arguments as of `score_model`.
+  The first alpha if no view has an occupied voxel. Arguments as of `score_model`.
   """
   size = dataset.manifest.grid_size
   options = {'flip': flip, 'carve': carve, 'azimuths': dataset.manifest.azimuths}
@@ -131,16 +131,16 @@ def score_model(
   Args:
     dataset: the open data set.
     row: of the model.
-    shape: without it colours are judged on the true shape.
-    color: without it there is no PSNR.
-    baseline: of the model's category, where it is to be judged, too.
+    shape: None to evaluate colours on the true shape.
+    color: None for no PSNR.
+    baseline: of the model's category; None to leave it out.
     alpha: of the blend.
-    threshold: of the shape network's score.
-    flip: whether to take means with the mirrored views, see cvn.infer.
+    threshold: of occupancy.
+    flip: whether to average with the mirrored views, see cvn.infer.
     carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
 
   Returns:
-    {'networks': {metric: [V]}, 'baselines': likewise}.
+    {'networks': {metric: [V]}, 'baselines': {metric: [V]}}.
   """
   record = read_record(dataset, row)
   size = dataset.manifest.grid_size

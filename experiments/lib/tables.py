@@ -7,7 +7,7 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 
-from cvn.intervals import Estimate
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import markdown, protocol, results
 from experiments.lib.evaluation import ALPHAS
 from experiments.lib.markdown import NONE, detail, escape
@@ -140,13 +140,13 @@ def _category(numbers: Sequence[Number | None], name: str, form: str):
     + ('' if n.models == count else f' ({n.models} models)')
     for n in numbers
   ]
-  columns = [(f'{escape(name)} ({count})', _cells([n.mean for n in numbers], form, details))]
+  columns = [(f'**{escape(name)} ({count})**', _cells([n.mean for n in numbers], form, details))]
   return columns + _paper([n.published for n in numbers], form)
 
 
 def _average(lines: Sequence[Line], form: str):
   spread = [f'± {statistics.stdev(x.seeds):{form}}' if len(x.seeds) > 1 else '' for x in lines]
-  columns = [(AVERAGE, _cells([results.overall(x) for x in lines], form, spread))]
+  columns = [(f'**{AVERAGE}**', _cells([results.overall(x) for x in lines], form, spread))]
   return columns + _paper([x.published for x in lines], form)
 
 

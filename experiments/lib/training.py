@@ -233,7 +233,7 @@ def configuration(**named: Any) -> dict[str, Any]:
   """The configuration that the program stores when it is started with some flags."""
   s = resolve_dtype(read_flags(cli.parse(define_flags, **named)))
   dataset = open_dataset(s.data)
-  rows = data.select_rows(dataset, 'train', s.category, s.source)
+  rows = data.select_rows(dataset, 'train', categories=s.category, sources=s.source)
   return make_config(s, make_recipe(s), dataset, rows)
 
 

@@ -1,4 +1,4 @@
-"""Pictures that a training shows of its network now and then."""
+"""Pictures of a network in the course of its training."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from cvn.readouts import COLOR_KINDS, SHAPE_KINDS
 
 
 def draw_views(network: Network, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
-  """Views, what the network makes of them, and the truth, as one uint8 image [H, W, 3]."""
+  """Views, their reconstructions and the truth, as one uint8 image [H, W, 3]."""
   slots = data.surface_slots(dataset)
   truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
   images = np.stack([t.image for t in truth])

@@ -1,7 +1,7 @@
-"""A viewer of GLB files in HTML pages: turned with the mouse, a finger or the arrow keys.
+"""A viewer of GLB files in HTML pages, turned with the mouse, a finger or the arrow keys.
 
-Nothing is loaded from elsewhere: `embed` puts a file into the page, and `SCRIPT`, once at the
-page's end, shows all that are embedded. What a page shows is what the files hold.
+Nothing is loaded from elsewhere: `embed` puts a file into the page, and `SCRIPT`, once at the end
+of the page, shows all embedded files.
 """
 
 import base64
@@ -12,14 +12,14 @@ SCRIPT = resources.files('experiments.lib').joinpath('viewer.js').read_text(enco
 
 
 def embed(name: str, glb: bytes, *, size: int, group: str = '', azimuth: float = 30) -> str:
-  """HTML of a canvas, and of the file that it shows.
+  """The HTML of a canvas and of the file that it shows.
 
   Args:
     name: of the file in the page, unique there.
-    glb: a file as cvn.export writes it, as it is or compressed by gzip.
+    glb: a file of cvn.export, plain or compressed by gzip.
     size: pixels of the canvas.
     group: canvases of one group turn together.
-    azimuth: degrees that it is first seen from.
+    azimuth: of the first view, degrees.
   """
   shared = f' data-group="{html.escape(group)}"' if group else ''
   return (

@@ -1,7 +1,7 @@
-"""The golden values' format: what the files hold, and how inputs and weights are redrawn.
+"""The format of the golden values, and the rule that redraws inputs and weights.
 
-The numbers were printed by the authors' program. Nothing large is stored: images, targets and
-weights follow from a seed by rule.
+The authors' program printed the numbers. Nothing large is stored: images, targets and weights
+follow from a seed.
 """
 
 import ast
@@ -103,7 +103,7 @@ def list_views(golden: dict[str, np.ndarray]) -> list[tuple[str, str]]:
 
 
 def draw_input(golden: dict[str, np.ndarray]):
-  """What a network is fed with.
+  """The inputs of a network.
 
   Returns:
     (image [B, H, W, 3] float32, mask [B, X, Y, Z, 1] bool, the generator as it stands now).
@@ -131,21 +131,21 @@ def at_voxels(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def draw_params(golden: dict[str, np.ndarray], network_params) -> dict:
-  """A network's parameters as the rule draws the authors' variables.
+  """A network's parameters, drawn by the rule of the authors' variables.
 
   Args:
     golden: of net_shape.npz or net_color.npz.
-    network_params: the network's own tree, for its structure and shapes.
+    network_params: the network's parameters, for their structure and shapes.
 
   Raises:
-    UserError: the variables are not this network's.
+    UserError: the variables do not belong to this network.
   """
   drawn = {}
   for name, shape in zip(golden['names'].tolist(), golden['shapes'].tolist(), strict=True):
     try:
       shape = tuple(int(n) for n in ast.literal_eval(shape))
     except (ValueError, SyntaxError, TypeError) as e:
-      raise UserError(f'the golden shape {shape!r} of {name} is none') from e
+      raise UserError(f'the golden values have {shape!r} as the shape of {name}') from e
     value = _draw_variable(name, shape, int(golden['seed']))
     drawn[to_path(name)] = value.swapaxes(-1, -2) if _is_transposed(name) else value
   own = flatten(network_params)
@@ -160,7 +160,7 @@ def draw_params(golden: dict[str, np.ndarray], network_params) -> dict:
 
 
 def to_path(name: str) -> str:
-  """Our name of one of the authors' variables: 'trunk/encoder/conv0/kernel'.
+  """Our name for one of the authors' variables, such as 'trunk/encoder/conv0/kernel'.
 
   Raises:
     UserError: there is no such variable.
@@ -169,7 +169,7 @@ def to_path(name: str) -> str:
     layer = name.removesuffix('/' + ending)
     if layer != name and layer in TRANSPOSED | PLAIN:
       return f'{(TRANSPOSED | PLAIN)[layer]}/{own}'
-  raise UserError(f'the golden values name a variable {name!r} that no network here has')
+  raise UserError(f'the golden values have a variable {name!r} that no network here has')
 
 
 def flatten(params) -> dict[str, jax.Array]:
@@ -183,12 +183,12 @@ def join(path) -> str:
 
 
 def one_by_one_line(volume: jax.Array, params, stats) -> np.ndarray:
-  """How the authors' rounding moves a volume: [2, C], gain and offset of its channels' logits.
+  """The effect of the authors' rounding on a volume: [2, C], scale and shift of its logits.
 
-  Their program takes the variance of a channel's 2^20 values as a float32 sum of one value after
-  the other, which loses 5e-4 to 7e-4 of it. Ours is exact to 1e-6, and so the stored volumes of
-  two and three channels differ by a gain of 1.0003 in front of the sigmoid: next to nothing, but
-  for it the nearest sampler takes another pixel at one voxel in two hundred. This repeats the sum.
+  Their program sums the variance of a channel's 2^20 values in float32, one value after the other,
+  which loses 5e-4 to 7e-4 of it. Ours is exact to 1e-6, so the stored volumes of two and three
+  channels differ by a factor of 1.0003 in front of the sigmoid. That is next to nothing, but the
+  nearest sampler then takes another pixel at one voxel in two hundred. This repeats their sum.
 
   Args:
     volume: [B, X, Y, Z, C] in (0, 1), ours.
@@ -211,7 +211,7 @@ def one_by_one_line(volume: jax.Array, params, stats) -> np.ndarray:
 
 
 def apply_line(volume: jax.Array, line) -> jax.Array:
-  """A volume [..., C] in (0, 1) with gain and offset [2, C] applied to its logits."""
+  """A volume [..., C] in (0, 1) with scale and shift [2, C] applied to its logits."""
   gain, offset = (jnp.reshape(v, (1,) * (volume.ndim - 1) + (-1,)) for v in line)
   return jax.nn.sigmoid(jax.scipy.special.logit(volume) * gain + offset)
 

@@ -28,9 +28,9 @@ from cvn.data import Batch
 from cvn.dataset import open_dataset
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE
-from cvn.machine import processor
 from cvn.networks import NETWORKS
 from cvn.objectives import OBJECTIVES
+from cvn.ops import compile as compiling
 from cvn.ops import dispatch, native
 from cvn.recipe import PAPER
 from experiments import train as program
@@ -102,7 +102,7 @@ def describe_machine() -> dict[str, Any]:
   device = jax.devices()[0]
   library = native.library() if device.platform == 'cpu' else None
   return {
-    'processor': processor(),
+    'processor': compiling.processor_name(),
     'cores': os.cpu_count(),
     'platform': device.platform,
     'devices': f'{len(jax.devices())} x {device.device_kind}',

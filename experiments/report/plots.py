@@ -29,6 +29,7 @@ _COLORS = {
     )
   ),
 }
+TITLES = {'iou': 'IoU'}  # of metrics
 LONG = 40  # characters: longer names stand in a single column
 _BY_TITLE = {protocol.METHODS[m].title: c for m, c in _COLORS.items()}
 _SERIES = ('#2f6fb5', '#e0893a', '#55a06c', '#9a6fb5', '#c2504a', '#7a7a7a', '#b59a2f')
@@ -160,35 +161,56 @@ def ablation(parts: Mapping[str, Table], name: str, caption: str) -> Picture:
     return to_picture(figure, name, caption)
 
 
-def training_curves(trainings: Sequence[Training], name: str, caption: str) -> Picture:
-  """Loss in training (lines) and on val (dots): a panel a training, a colour a network."""
+def training_curves(
+  trainings: Sequence[Training], name: str, caption: str, *, metrics: Sequence[str] = ('loss',)
+) -> Picture:
+  """Metrics in training (lines) and on val (dots), a colour for each network.
+
+  Args:
+    trainings: all trainings of a kind share panels.
+    name: of the picture.
+    caption: below it.
+    metrics: with a panel for each kind of training that has it.
+  """
   kinds = list(dict.fromkeys(t.training for t in trainings))
   kinds.sort(key=[*protocol.TRAININGS, *kinds].index)
-  columns = min(3, len(kinds))
-  rows = -(-len(kinds) // columns)
+  curves = {
+    (kind, metric): [_curves(t, metric) for t in trainings if t.training == kind]
+    for kind in kinds
+    for metric in metrics
+  }
+  curves = {panel: found for panel, found in curves.items() if any(a or b for _, a, b in found)}
+  columns = min(3, len(curves))
+  rows = -(-len(curves) // columns)
+  labels = list(dict.fromkeys(_label(t) for t in trainings))
   with matplotlib.rc_context(STYLE):
     figure = matplotlib.figure.Figure(figsize=(9, 2.1 * rows + 0.3), layout='constrained')
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in all_axes[len(kinds) :]:
+    for axes in all_axes[len(curves) :]:
       axes.set_axis_off()
-    labels = list(dict.fromkeys(_label(t) for t in trainings))
-    for axes, kind in zip(all_axes, kinds, strict=False):
-      for t in (t for t in trainings if t.training == kind):
-        color = f'C{labels.index(_label(t)) % 10}'
-        if t.loss:
-          samples, loss = np.array(t.loss).T
-          axes.plot(samples / 1000, loss, color=color, linewidth=1, label=_label(t))
-        held_out = [(n / 1000, v['loss']) for n, v in t.validation if 'loss' in v]
+    for axes, ((kind, metric), found) in zip(all_axes, curves.items(), strict=False):
+      for label, logged, held_out in found:
+        color = f'C{labels.index(label) % 10}'
+        if logged:
+          axes.plot(*zip(*logged, strict=True), color=color, linewidth=1, label=label)
         if held_out:
           axes.plot(*zip(*held_out, strict=True), 'o', color=color, markersize=3.5)
-      axes.set_title(kind.replace('_', ' '), loc='left')
+      axes.set_title(f'{kind.replace("_", " ")}: {TITLES.get(metric, metric)}', loc='left')
       axes.set_ylim(bottom=0)
       axes.grid(**GRID)
-    for axes in all_axes[max(0, len(kinds) - columns) : len(kinds)]:
+    for axes in all_axes[max(0, len(curves) - columns) : len(curves)]:
       axes.set_xlabel('thousand views seen')
     if len(labels) > 1:
       all_axes[0].legend(fontsize=8)
     return to_picture(figure, name, caption)
+
+
+def _curves(t: Training, metric: str):
+  """(label, points in training, points on val), in thousand views."""
+  points = [
+    [(n / 1000, v[metric]) for n, v in lines if metric in v] for lines in (t.logged, t.validation)
+  ]
+  return _label(t), *points
 
 
 def _label(t: Training) -> str:

@@ -71,7 +71,7 @@ class Training(NamedTuple):
   steps: int
   epochs: float
   samples: int  # views seen
-  loss: list[tuple[float, float]]  # (samples, mean over the steps since the one before)
+  logged: list[tuple[float, dict[str, float]]]  # (samples, means since the line before)
   validation: list[tuple[float, dict[str, float]]]  # (samples, metrics)
 
 
@@ -185,7 +185,8 @@ def read_people(path: str) -> People:
 def read_trainings(path: str) -> list[Training]:
   """All trainings with a log, in the order of the protocol."""
   folders = sorted(glob.glob(os.path.join(glob.escape(path), 'runs', '*')))
-  found = [t for folder in folders if (t := read_training(folder))]
+  named = [folder for folder in folders if os.path.basename(folder).count('_') >= 2]
+  found = [t for folder in named if (t := read_training(folder))]
   known = [*protocol.TRAININGS]
   return sorted(found, key=lambda t: known.index(t.training) if t.training in known else len(known))
 
@@ -194,7 +195,7 @@ def read_training(folder: str) -> Training | None:
   """A training's settings and its log; None if it has logged nothing yet."""
   config_path, log_path = (os.path.join(folder, n) for n in ('config.json', 'log.jsonl'))
   name = os.path.basename(folder)
-  if not (os.path.exists(config_path) and os.path.exists(log_path) and name.count('_') >= 2):
+  if not (os.path.exists(config_path) and os.path.exists(log_path)):
     return None
   config = read_json(config_path)
   with damage(config_path):
@@ -204,21 +205,20 @@ def read_training(folder: str) -> Training | None:
       raise ValueError(config)
     differences.describe([Run(folder, config, 0)])  # raises on another form
   text = read_bytes(log_path).decode(errors='replace')
-  training, scope, seed = name.rsplit('_', 2)
+  training, scope, seed = [*name.rsplit('_', 2), '', ''][:3]
   with damage(log_path):
     # The last line may be incomplete while the training is running.
     lines = [json.loads(x) for x in text.splitlines(keepends=True) if x.endswith('\n')]
     lines = [(x, int(x['step'])) for x in lines]
     steps = max((step for _, step in lines), default=0)
-    loss = [(n * batch, float(x['loss'])) for x, n in lines if 'loss' in x]
-    validation = [
-      (n * batch, {k: float(v) for k, v in x['validation'].items()})
-      for x, n in lines
-      if 'validation' in x
-    ]
+    logged, validation = [], []
+    for x, n in lines:
+      known = validation if 'validation' in x else logged
+      values = x.get('validation', {k: v for k, v in x.items() if k not in ('step', 'epoch')})
+      known.append((n * batch, {k: float(v) for k, v in values.items()}))
   return Training(
     *(name, training, scope, seed, config),
-    *(steps, steps / epoch, steps * batch, loss, validation),
+    *(steps, steps / epoch, steps * batch, logged, validation),
   )
 
 

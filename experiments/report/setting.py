@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvn import checkpoint, machine
+from cvn import checkpoint
 from cvn.dataset import SPLITS, Dataset, Model, open_dataset, read_json, surface_counts, to_url
+from cvn.ops import compile as compiling
 from experiments.lib import differences, markdown, stages
 from experiments.lib.differences import PAPER, PAPER_VIEWS
 from experiments.lib.markdown import NONE, escape
@@ -228,7 +229,7 @@ def versions(workdirs: Sequence[Workdir], seed: int) -> list[Block]:
           seeds.append(f'choice of models in “{f.name}”: {f.facts[key]}')
   seeds.append(f'choice of models to turn: {seed}')
   system = f'{platform.system()} {platform.machine()}, Python {platform.python_version()}'
-  rows = [('machine', f'{machine.processor()}, {os.cpu_count()} cores'), ('system', system)]
+  rows = [('machine', f'{compiling.processor_name()}, {os.cpu_count()} cores'), ('system', system)]
   rows += [(package, _version(package)) for package in PACKAGES]
   caption = markdown.strong('Versions and machine of this report')
   table = markdown.table(['', 'version'], [[escape(x) for x in row] for row in rows])

@@ -25,7 +25,7 @@ def crop_to_object(view: np.ndarray) -> np.ndarray:
   side = int((high - low).max()) + 2 * MARGIN
   top, left = (low + high - side) // 2 + side  # in the padded picture
   around = ((side, side), (side, side), (0, 0))
-  padded = np.pad(figures.over(view, GREY), around, constant_values=GREY[0])
+  padded = np.pad(figures.over(view, background=GREY), around, constant_values=GREY[0])
   return padded[top : top + side, left : left + side]
 
 

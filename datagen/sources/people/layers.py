@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources.people.data import BodyData
 from datagen.sources.people.rig import skin
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources.people import body as bodies
 from datagen.sources.people import charts, face, garments, hair, layers, outfits, poses, rig
 from datagen.sources.people.data import BodyData

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.mesh import TexturedMesh
+from datagen.geometry.mesh import TexturedMesh
 from datagen.sources.shapes.cutting import exposed
 from datagen.sources.shapes.materials import Material
 from datagen.sources.shapes.solids import Solid

@@ -53,7 +53,9 @@ def make_figure(plan: Plan, *, name: str, tile: int) -> None:
   """
   dataset = open_dataset(plan.data)
   size = dataset.manifest.grid_size
-  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
+  rows = data.select_rows(
+    dataset, 'test', categories=protocol.categories(plan), sources=plan.sources
+  )
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   view = int(np.argmin([abs(a - VIEW) for a in dataset.manifest.azimuths]))
@@ -84,19 +86,19 @@ def choose(dataset: Dataset, rows: Iterable[int], view: int) -> tuple[int, float
   """The row of the most symmetric model, and its IoU with its mirror image."""
   size = dataset.manifest.grid_size
 
-  def judge(row):
+  def rank(row):
     record = read_record(dataset, row)
     occupancy = scoring.to_voxels(record, size).occupancy
     symmetry = float(metrics.iou(occupancy, occupancy[::-1]))
     return round(symmetry, 2), len(find_pairs(record, view, size)), row, symmetry
 
   progress = tqdm(rows, desc='symmetry', unit='model', disable=None)
-  *_, row, symmetry = max(map(judge, progress), key=lambda found: found[:2])
+  *_, row, symmetry = max(map(rank, progress), key=lambda found: found[:2])
   return int(row), symmetry
 
 
 def find_pairs(record: Record, view: int, grid_size: int) -> np.ndarray:
-  """Hidden voxels and their visible mirror images: [N, 2] places in the record's surface."""
+  """Hidden voxels and their visible mirror images: [N, 2] indices into the record's surface."""
   number = np.full((grid_size,) * 3, -1)
   number[tuple(record.surface_index.T)] = np.arange(len(record.surface_index))
   mirrored = number[::-1][tuple(record.surface_index.T)]
@@ -106,7 +108,7 @@ def find_pairs(record: Record, view: int, grid_size: int) -> np.ndarray:
 
 
 def distance(flow: np.ndarray, other: np.ndarray) -> float:
-  """The median distance between flows [N, 2]; 0 where there are none."""
+  """The median distance between flows [N, 2]; 0 if there are none."""
   return float(np.median(np.linalg.norm(flow - other, axis=-1))) if len(flow) else 0.0
 
 
@@ -119,7 +121,7 @@ def estimate(network: Network, record: Record, view: int) -> np.ndarray:
 def draw(
   pick: Pick, record: Record, flows: Mapping[str, np.ndarray], *, grid_size: int, tile: int
 ) -> np.ndarray:
-  """The figure: colour code and input, flows [S, 2] and what they fetch from both sides."""
+  """The figure: colour code and input, flows [S, 2] and the colours they fetch, from both sides."""
   view = record.views[pick.view]
   image = view[None, ..., :3].astype(np.float32) / 255
   foreground = view[None, ..., 3] >= 128

@@ -80,7 +80,7 @@ def draw_row(
   *,
   tile: int,
 ) -> list[np.ndarray]:
-  """The pictures of one pick, as `TITLES` names them."""
+  """The pictures of a pick in the order of `TITLES`."""
   voxels = infer.to_voxels(ours)
   volumes = (
     figures.flow_color_code(ours.flow),

@@ -41,10 +41,10 @@ MEASURES = ('share', 'plain', 'nearest', 'plain_blended', 'nearest_blended')
 
 
 class Sampled(NamedTuple):
-  """A view's reconstruction."""
+  """A view's reconstruction, coloured in several ways."""
 
   occupancy: np.ndarray  # [X, Y, Z] bool
-  background: np.ndarray  # [X, Y, Z] bool, whether the flow points at the background
+  background: np.ndarray  # [X, Y, Z] bool: the flow points at the background
   plain: np.ndarray  # [X, Y, Z, 3] the colours of the pixels that the flow points at
   nearest: np.ndarray  # [X, Y, Z, 3] those of the nearest foreground pixels
   plain_blended: np.ndarray  # [X, Y, Z, 3] blended with the regressed colours
@@ -74,7 +74,9 @@ def make_figure(plan: Plan, *, name: str, tile: int, per_category: int) -> None:
     UserError: there is no finished test model.
   """
   dataset = open_dataset(plan.data)
-  rows = data.select_rows(dataset, 'test', protocol.categories(plan), plan.sources)
+  rows = data.select_rows(
+    dataset, 'test', categories=protocol.categories(plan), sources=plan.sources
+  )
   if len(rows) == 0:
     raise UserError(f'{plan.data} has no finished model in the split test')
   categories = [dataset.manifest.models[row].category for row in rows]
@@ -115,7 +117,7 @@ def sample(views: np.ndarray, found: Sequence[Reconstruction]) -> list[Sampled]:
 
 
 def measure_model(record: Record, predict: Predictor, grid_size: int) -> np.ndarray:
-  """The `MEASURES` of all views of a model, [V, 5]: NaN where no voxel is occupied."""
+  """The `MEASURES` of all views of a model, [V, 5]; NaN for views without occupied voxels."""
   true = scoring.to_voxels(record, grid_size)
   rows = []
   for one in sample(record.views, predict(record.views)):
@@ -159,12 +161,12 @@ def to_markdown(summary: Mapping[str, Mapping[str, float]]) -> str:
 def pick_highest(
   dataset: Dataset, rows: Sequence[int], shares: np.ndarray, per_category: int
 ) -> list[Pick]:
-  """The models with the highest mean share in their categories, each in its highest view.
+  """The models with the highest mean share of their category, each in its highest view.
 
   Args:
     dataset: the data set.
     rows: of the models.
-    shares: [models, V], NaN where no voxel is occupied.
+    shares: [models, V], NaN for views without occupied voxels.
     per_category: models of a category.
   """
   shares = np.nan_to_num(shares)
@@ -179,7 +181,7 @@ def pick_highest(
 
 
 def draw_row(dataset: Dataset, pick: Pick, predict: Predictor, *, tile: int) -> list[np.ndarray]:
-  """The pictures of one pick, as `TITLES` names them."""
+  """The pictures of a pick in the order of `TITLES`."""
   shown = pictures.read(dataset, pick)
   (one,) = sample(shown.view[None], predict(shown.view[None]))
   marked = np.where(one.background[..., None], ON_BACKGROUND, ON_FOREGROUND)

@@ -39,7 +39,7 @@ def make_figure(plan: Plan) -> None:
   dataset = open_dataset(plan.data)
   curves, used = {}, []
   for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan)):
-    rows = data.select_rows(dataset, 'val', judged, plan.sources)
+    rows = data.select_rows(dataset, 'val', categories=judged, sources=plan.sources)
     if len(rows) == 0:
       raise UserError(f'{plan.data} has no finished model in the split val of {", ".join(judged)}')
     for method in METHODS:

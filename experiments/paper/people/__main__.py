@@ -21,9 +21,10 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from cvn import complexity, data
+from cvn import data
 from cvn.dataset import SPLITS, Dataset, open_dataset, read_record
 from cvn.errors import UserError
+from cvn.evaluation import complexity
 from experiments.lib import cli, picks, pictures, protocol, results, runs, scoring
 from experiments.lib.picks import Pick
 from experiments.lib.protocol import Plan, Predictor
@@ -71,7 +72,7 @@ def run(plan: Plan, color_options: Mapping[str, int], *, people: int, figure_see
 
   Args:
     plan: how networks are trained, on one category at most.
-    color_options: t1, clusters and t2 of cvn.complexity.
+    color_options: t1, clusters and t2 of cvn.evaluation.complexity.
     people: test models in the picture of results.
     figure_seed: of the choice of these models and views.
   """
@@ -116,12 +117,12 @@ def read_colors(
   Args:
     dataset: the open data set.
     category: of the models.
-    t1, clusters, t2: as of cvn.complexity.
+    t1, clusters, t2: as of cvn.evaluation.complexity.
 
   Raises:
     UserError: there is none, or no colour has t1 pixels.
   """
-  rows = np.concatenate([data.select_rows(dataset, s, [category]) for s in SPLITS])
+  rows = np.concatenate([data.select_rows(dataset, s, categories=[category]) for s in SPLITS])
   if len(rows) == 0:
     raise UserError(f'{dataset.root} has no finished {category}: make some with datagen.generate')
   palettes = [

@@ -1,4 +1,4 @@
-"""What IoU depends on: the view's azimuth, and its colour complexity.
+"""The dependence of the IoU on the view's azimuth and colour complexity.
 
 Tables are [N, V]: N test models, V views of each.
 """
@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvn import complexity, intervals
 from cvn.errors import UserError
-from cvn.intervals import Estimate
+from cvn.evaluation import complexity, intervals
+from cvn.evaluation.intervals import Estimate
 
 SIDES, FRONT_AND_BACK = (90, 270), (0, 180)  # degrees
 GROUPS = 6  # of views by complexity, of about as many views each
@@ -20,11 +20,11 @@ class Colors(NamedTuple):
   """The colours of a set of views."""
 
   complexity: np.ndarray  # [N, V]
-  unique: int  # colours
-  retained: int  # of them, for the clusters
-  coverage: float  # the share of foreground pixels that have a retained colour
-  clusters: int  # fewer than asked for where so few colours are retained
-  t1: int  # as of cvn.complexity
+  unique: int  # number of colours
+  retained: int  # colours with at least t1 pixels
+  coverage: float  # share of foreground pixels with a retained colour
+  clusters: int  # fewer than asked for if too few colours are retained
+  t1: int  # as of cvn.evaluation.complexity
   t2: int
 
 
@@ -39,7 +39,7 @@ class Group(NamedTuple):
 
 
 class Analysis(NamedTuple):
-  """Mean IoU and what it depends on."""
+  """Mean IoU, by azimuth and by colour complexity."""
 
   overall: Estimate
   by_azimuth: dict[float, Estimate]
@@ -47,15 +47,17 @@ class Analysis(NamedTuple):
   front_and_back: Estimate
   difference: Estimate  # sides - front and back, model by model
   by_complexity: list[Group]
-  correlation: Estimate  # Spearman's, of the complexity and the IoU of views
-  correlation_of_models: Estimate  # likewise of the models' means
+  correlation: Estimate  # Spearman's, between complexity and IoU of views
+  correlation_of_models: Estimate  # the same for the models' means
 
 
 def check_azimuths(azimuths: Sequence[float]) -> None:
-  """Raises UserError where there is no view from a side, the front or the back."""
+  """Raises UserError unless there are views from both sides, the front and the back."""
   missing = [f'{a}°' for a in (*FRONT_AND_BACK, *SIDES) if a not in azimuths]
   if missing:
-    raise UserError(f'the data set has no views from {", ".join(missing)}: make it with them')
+    raise UserError(
+      f'the data set has no views from {", ".join(missing)}: make one with these azimuths'
+    )
 
 
 def analyze(azimuths: Sequence[float], iou: np.ndarray, complexities: np.ndarray) -> Analysis:
@@ -89,7 +91,7 @@ def group_by_complexity(complexities: np.ndarray, iou: np.ndarray) -> list[Group
       int(complexities[group == g].max()),
       int(np.sum(group == g)),
       int(np.sum((group == g).any(1))),
-      intervals.mean(iou, group == g),
+      intervals.mean(iou, chosen=group == g),
     )
     for g in range(group.max() + 1)
   ]
@@ -102,7 +104,7 @@ def measure_colors(
 
   Args:
     palettes: [N][V] of the views' foreground.
-    t1, clusters, t2: as of cvn.complexity.
+    t1, clusters, t2: as of cvn.evaluation.complexity.
 
   Raises:
     UserError: no colour has t1 pixels.

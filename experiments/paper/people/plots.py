@@ -6,9 +6,9 @@ import matplotlib.figure
 import numpy as np
 
 from cvn import figures, infer
+from cvn.evaluation.intervals import Estimate
 from cvn.files import atomic_write
 from cvn.infer import Reconstruction
-from cvn.intervals import Estimate
 from experiments.lib import pictures
 from experiments.lib.picks import Pick
 from experiments.lib.pictures import Shown

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvn import intervals
-from cvn.intervals import Estimate
+from cvn.evaluation import intervals
+from cvn.evaluation.intervals import Estimate
 from experiments.lib import markdown, stages, tables
 from experiments.lib.markdown import escape
 from experiments.paper.people.analysis import FRONT_AND_BACK, SIDES, Analysis, Colors
@@ -107,7 +107,7 @@ def to_markdown(found: Mapping[str, Any]) -> str:
 
 
 def _mean(values):
-  return intervals.mean(values, ~np.isnan(values))
+  return intervals.mean(values, chosen=~np.isnan(values))
 
 
 def _float(x: float | None) -> float:

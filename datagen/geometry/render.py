@@ -1,13 +1,13 @@
 """Views of a coloured mesh, with alpha and depth from the same rays, traced by Mitsuba.
 
 Shading is deferred: Mitsuba says which face each ray meets, and the colour there is
-`datagen.mesh.albedo`, the very function that colours the voxels. Surfaces have two sides. A pixel
+`geometry.mesh.albedo`, the very function that colours the voxels. Surfaces have two sides. A pixel
 is foreground when the ray through its centre meets the surface, so that alpha is 0 or 255 and edges
 are hard as in the authors' data; its colour is the mean over the SAMPLES x SAMPLES rays of the
 pixel that meet the surface. Depth is the distance along the viewing axis, of the centre's ray.
 Where alpha is 0, the colour is 0 and the depth infinite.
 
-Holes that a texture cuts (`datagen.mesh.is_surface`) are looked through, up to MAX_LAYERS of them,
+Holes that a texture cuts (`geometry.mesh.is_surface`) are looked through, up to MAX_LAYERS of them,
 one behind the other.
 """
 
@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from cvn.camera import IMAGE_SIZE, Camera, project
-from datagen.mesh import TexturedMesh, albedo, is_surface
+from datagen.geometry.mesh import TexturedMesh, albedo, is_surface
 
 SHADINGS = ('flat', 'lit')
 SAMPLES = 3  # a pixel's rays along either axis; odd, so that one of them goes through its centre

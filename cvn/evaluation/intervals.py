@@ -25,7 +25,7 @@ class Estimate(NamedTuple):
   high: float
 
 
-def mean(values: np.ndarray, chosen: np.ndarray | None = None) -> Estimate:
+def mean(values: np.ndarray, *, chosen: np.ndarray | None = None) -> Estimate:
   """The mean of chosen views.
 
   Args:

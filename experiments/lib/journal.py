@@ -1,12 +1,12 @@
-"""What a training run tells while it goes: WORKDIR/log.jsonl, and the same for TensorBoard.
+"""The log of a training run: WORKDIR/log.jsonl, and the same for TensorBoard.
 
 A line of log.jsonl is one JSON object, either of two:
 
   {"step", "epoch", <metric>: its mean over the steps since the line before, ...}
   {"step", "epoch", "validation": {<metric>: mean, ...}}
 
-Neither time nor speed is in it, so that a run that was interrupted and resumed leaves the same
-bytes as one that was not. TensorBoard's files are in WORKDIR/tensorboard. Everything is on disk
+It has neither times nor speeds, so that an interrupted and resumed run leaves the same bytes as an
+uninterrupted one. TensorBoard's files are in WORKDIR/tensorboard. Everything is on disk
 when a function returns.
 """
 
@@ -36,7 +36,7 @@ class Journal(NamedTuple):
 
 @contextlib.contextmanager
 def open_journal(workdir: str, step: int) -> Iterator[Journal]:
-  """Opens the journal of a run that stands at `step`; what was told of later steps is dropped.
+  """Opens the journal of a run at `step`, and drops the lines of later steps.
 
   Raises:
     UserError: the files cannot be read or written.
@@ -55,7 +55,7 @@ def open_journal(workdir: str, step: int) -> Iterator[Journal]:
   try:
     yield Journal(path, events)
   finally:
-    with contextlib.suppress(OSError):  # a full disk has been told of by the write that met it
+    with contextlib.suppress(OSError):  # the write that met a full disk has reported it
       events.close()
 
 
@@ -73,7 +73,7 @@ def write_line(journal: Journal, step: int, epoch: float, values: dict[str, Any]
 
 
 def write_scalar(journal: Journal, step: int, name: str, value: float) -> None:
-  """Gives a number to TensorBoard alone.
+  """Writes a number for TensorBoard only.
 
   Raises:
     UserError: the file cannot be written.
@@ -82,7 +82,7 @@ def write_scalar(journal: Journal, step: int, name: str, value: float) -> None:
 
 
 def write_picture(journal: Journal, step: int, name: str, image: np.ndarray) -> None:
-  """Gives a uint8 image [H, W, 3] to TensorBoard.
+  """Writes a uint8 image [H, W, 3] for TensorBoard.
 
   Raises:
     UserError: the file cannot be written.
@@ -120,7 +120,7 @@ def _read_lines(path):
 
 
 def _step_of(line):
-  """The step a line tells of; infinite where the line was cut off by a sudden end."""
+  """The step of a line; infinite if the line was cut off by a sudden end."""
   try:
     return json.loads(line)['step'] if line.endswith('\n') else float('inf')
   except (ValueError, KeyError, TypeError):

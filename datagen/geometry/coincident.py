@@ -11,8 +11,8 @@ import itertools
 import mitsuba as mi
 import numpy as np
 
-from datagen.mesh import TexturedMesh
-from datagen.render import to_mitsuba
+from datagen.geometry.mesh import TexturedMesh
+from datagen.geometry.render import to_mitsuba
 
 HIDDEN = 0.25  # a side that fewer rays meet than this share of its other side's is an inside
 _SIDES = np.concatenate([np.eye(3), -np.eye(3)])

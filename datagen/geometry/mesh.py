@@ -34,7 +34,7 @@ class TexturedMesh(NamedTuple):
   textures: tuple[np.ndarray, ...]  # [H, W, 4] uint8 RGBA each
   missing: tuple[str, ...] = ()  # files and materials that are named but not there
   wraps: tuple[tuple[str, str], ...] = ()  # of each texture, along u and v; () repeats all
-  notes: tuple[str, ...] = ()  # of datagen.notes: what its reader ignored or guessed
+  notes: tuple[str, ...] = ()  # of datagen.reading.notes: what its reader ignored or guessed
 
 
 def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ Ties, as when a face lies on the border of two voxels, are decided by moving the
 1e-6 of its size, and by less than that to one side: such a face is one voxel thick, not two, and
 the longest side's ends stay within the margin.
 
-What a texture cuts out is no surface; glass is (see datagen/mesh.py).
+What a texture cuts out is no surface; glass is (see datagen/geometry/mesh.py).
 """
 
 import itertools
@@ -33,8 +33,8 @@ import numpy as np
 
 from cvn.errors import UserError
 from cvn.grid import GRID_SIZE, PADDING_INDEX, world_to_grid
-from datagen import dominant
-from datagen.mesh import TexturedMesh, albedo, is_surface
+from datagen.geometry import dominant
+from datagen.geometry.mesh import TexturedMesh, albedo, is_surface
 
 SAMPLES_PER_SIDE = 4  # colour is read at least so often along a voxel's side
 CHUNK = 1 << 18  # candidates, or samples, handled at a time; bounds the memory
@@ -64,7 +64,7 @@ def voxelize(
 ) -> SurfaceVoxels:
   """The surface shell of a mesh and its albedo.
 
-  A voxel's colour is the dominant one (see datagen/dominant.py) of the surface inside the voxel;
+  A voxel's colour is the dominant one (see dominant.py) of the surface inside the voxel;
   where that is too little to be sampled, the albedo at the surface's nearest point to its centre.
   Faces that no view shows, such as linings and what is inside a body, have a say only in voxels
   that hold no others.

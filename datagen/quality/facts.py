@@ -3,8 +3,8 @@
 import numpy as np
 
 from cvn.dataset import Facts
-from datagen.mesh import TexturedMesh
-from datagen.notes import to_bits
+from datagen.geometry.mesh import TexturedMesh
+from datagen.reading.notes import to_bits
 
 _CHUNK = 1 << 18  # faces handled at a time
 

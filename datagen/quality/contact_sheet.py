@@ -77,7 +77,7 @@ def _pictures(dataset: Dataset, record: Record) -> dict[str, np.ndarray]:
     return grid.to_voxels(record.surface_index, values, size=dataset.manifest.grid_size)
 
   def view(v):
-    image = over(record.views[v], GROUND)
+    image = over(record.views[v], background=GROUND)
     enlarge = max(1, IMAGE_SIZE // len(image))
     return np.repeat(np.repeat(image, enlarge, 0), enlarge, 1)
 

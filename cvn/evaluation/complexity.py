@@ -18,7 +18,7 @@ from cvn.errors import UserError
 T1 = 50  # the paper's: pixels of the set that a colour needs to be clustered
 CLUSTERS = 128  # the paper's K
 T2 = 5  # the paper's: a cluster counts in a view where more pixels than this belong to it
-OPAQUE = 128  # alpha from which on a pixel is foreground, as in cvn.reconstruct
+OPAQUE = 128  # alpha from which on a pixel is foreground, as in cvn.readouts
 ITERATIONS = 100  # of K-means; the centres stand still after fewer
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvn.dataset import Record
-from datagen.flow import FIDELITY, FlowStats, sampling_error
+from datagen.geometry.flow import FIDELITY, FlowStats, sampling_error
 
 FEW_VOXELS = 300  # a flat square of 17 voxels' side
 ONE_COLOR = 0.02  # mean distance to the mean colour; texture and shadow are beyond it
@@ -40,7 +40,7 @@ class Examined(NamedTuple):
   uprightness: float  # height over the longer of width and depth
   missing: int  # files of textures and materials that were not there
   volume: float  # signed, of its bounding box's
-  notes: int = 0  # bits of datagen.notes
+  notes: int = 0  # bits of datagen.reading.notes
   breadth: float = 1.0  # width over depth
 
 
@@ -66,7 +66,7 @@ def examine(record: Record) -> Examined:
 
 
 def flow_stats(record: Record, similarity: float) -> FlowStats:
-  """What `datagen.flow` would have counted of flows that were made elsewhere.
+  """What `datagen.geometry.flow` would have counted of flows that were made elsewhere.
 
   Args:
     record: the model.

@@ -1,0 +1,1 @@
+"""What results are judged by beside cvn.metrics: baselines, intervals, the colours of the views."""

@@ -1,0 +1,1 @@
+"""From a textured mesh to its views, coloured voxels and target flows."""

@@ -1,0 +1,1 @@
+"""What looks wrong in a data set, and pictures of it."""
