@@ -180,7 +180,14 @@ def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
 
 
 def read_name(dataset: Dataset, row: int, view: int, *, slots: int) -> str:
-  """An element's model and azimuth; batches of them say what is in those of `read_color`."""
+  """An element's model and azimuth; batches of them say what is in those of `read_color`.
+
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: its number.
+    slots: for nothing, as all readers have it.
+  """
   del slots
   return f'{dataset.manifest.models[row].id} at {dataset.manifest.azimuths[view]:g}'
 

@@ -291,6 +291,11 @@ def read_record(dataset: Dataset, row: int) -> Record:
 def read_parts(dataset: Dataset, row: int, *parts: ts.TensorStore) -> list[np.ndarray]:
   """Reads slices of the arrays of one model at the same time.
 
+  Args:
+    dataset: the open data set.
+    row: of the model, for the message.
+    *parts: of the arrays.
+
   Raises:
     UserError: the model's files are damaged.
   """

@@ -104,6 +104,7 @@ def make_surface_step(
     network: its fields choose mixed precision and the layers' implementation.
     recipe: loss, learning rate and penalty.
     total_samples: of the whole training, for schedules that end with it.
+    parts: of the batch that are computed one after the other, as in `make_step`.
 
   Returns:
     step(state, batch) -> (state, metrics), as of `make_step`.

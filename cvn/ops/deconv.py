@@ -116,6 +116,11 @@ def library_deconv_gradient(
   the gradient of a is S(dy, w), and that of w is S's own. JAX's derivative of a convolution with
   dilated input is one with a dilated input and a kernel as large as the volume, for which no
   library of an accelerator has a program.
+
+  Args:
+    a: [B, X, Y, Z, in].
+    kernel: [3, 3, 3, in, out].
+    dy: [B, 2X, 2Y, 2Z, out], the cotangent of `library_deconv`.
   """
 
   def strided(w):
@@ -129,7 +134,13 @@ def library_deconv_gradient(
 def library_conv_gradient(
   a: jax.Array, kernel: jax.Array, dy: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-  """Gradients of a and kernel."""
+  """Gradients of a and kernel, as XLA has them.
+
+  Args:
+    a: [B, X, Y, Z, in].
+    kernel: [3, 3, 3, in, out].
+    dy: [B, X, Y, Z, out], the cotangent of `library_conv`.
+  """
   return jax.vjp(library_conv, a, kernel)[1](dy)
 
 
