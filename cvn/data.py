@@ -201,6 +201,7 @@ def training_batches(
   seed: int,
   mirror: bool = False,
   recolor: bool = False,
+  shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
 
@@ -211,15 +212,17 @@ def training_batches(
     read: `read_shape` or `read_color`.
     dataset: the open data set.
     rows: [N] models to train on.
-    batch_size: elements of a batch of this process.
+    batch_size: elements of a batch, of all processes together.
     seed: of order and views, 0 to 2^32 - 1.
     mirror: whether a random half of the elements is mirrored, see cvn.augment.
     recolor: whether elements get random colours, see cvn.augment.
+    shard: (process, processes): this process gets its part of every batch; the batch size is a
+      multiple of their number, and the parts together are the batch that one process would get.
 
   Raises:
     UserError: there are fewer models than a batch needs.
   """
-  count = len(rows)
+  count, (process, processes) = len(rows), shard
   if count < batch_size:
     raise UserError(
       f'{dataset.root} has {count} finished training models, too few for a batch of {batch_size}:'
@@ -248,8 +251,9 @@ def training_batches(
     .seed(seed)
     .random_map(choose)  # before the shuffle: there its index is (epoch, element)
     .shuffle()
+    .slice(slice(process, count // processes * processes, processes))
     .map(read_chosen)
-    .batch(batch_size, drop_remainder=True)
+    .batch(batch_size // processes, drop_remainder=True)
   )
 
 

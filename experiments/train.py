@@ -73,13 +73,14 @@ def run(s: Settings, *, last_good: bool = False, replay: bool = False) -> int:
   dataset = open_dataset(s.data)
   check_sizes(dataset)
   rows = data.select_rows(dataset, 'train', categories=s.category, sources=s.source)
+  parallel.local_batch(s.batch_size, parts=s.parts)  # refuses one that does not divide
   options = {'seed': s.seed, 'mirror': recipe.mirror, 'recolor': recipe.recolor}
   batches, names = (
     data.training_batches(
       of_one,
       dataset,
       rows,
-      batch_size=parallel.local_batch(s.batch_size, parts=s.parts),
+      batch_size=s.batch_size,
       shard=(jax.process_index(), jax.process_count()),
       **drawn,
     )

@@ -116,6 +116,7 @@ def start(made, workdir, *, count=1, devices=1, epochs=2, number=None, port=None
     command += [f'--coordinator=localhost:{port}', f'--num_processes={count}']
     command += [f'--process_id={number}']
   variables = {'JAX_NUM_CPU_DEVICES': str(devices), 'JAX_PLATFORMS': 'cpu'}
+  variables['PYTHONPATH'] = str(PROGRAM.parent.parent)
   return subprocess.Popen(
     command,
     env=os.environ | variables,
