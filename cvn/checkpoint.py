@@ -1,14 +1,14 @@
-"""A training run's folder: what the network is, and where its training stands.
+"""A training run's folder: its configuration and its checkpoints.
 
-  WORKDIR/config.json         the network's kind, the recipe and all that a resumed run must share
+  WORKDIR/config.json         the kind of network, the recipe and all that a resumed run must share
   WORKDIR/checkpoints/<step>  Orbax checkpoints, the latest KEEP of them:
       variables               {'params', 'batch_stats'}: all that inference needs
       optimizer               {'opt_state', 'step'}
-      _CHECKPOINT_METADATA    among other things `progress`, the JSON of the run's own bookkeeping
+      _CHECKPOINT_METADATA    includes `progress`, JSON values that the run keeps beside the state
 
-A checkpoint appears under its number once it is whole; what an interrupted save leaves behind has
-another name, is never read, and goes with the next save. Saving is synchronous: the state is 80 MB,
-and the step that follows donates the buffers it would be read from.
+A checkpoint gets its number once it is complete. The remains of an interrupted save have another
+name, are never read, and are removed by the next save. Saving is synchronous: the state is 80 MB,
+and the next step donates the buffers that would be read.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ from cvn.errors import UserError
 
 FORMAT = 1
 KEEP = 2
-NOT_COMPARED = ('data',)  # where the data set lay; its digest is what identifies it
+NOT_COMPARED = ('data', 'categories')  # the data set is identified by its digest
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
@@ -140,16 +140,22 @@ def restore(
       moved to WORKDIR/damaged-<step>, and a line says so.
 
   Raises:
-    UserError: the checkpoint is damaged.
+    UserError: the checkpoint is damaged, or of another version.
   """
 
   def as_abstract(x):
     return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding)
 
   def load(path):
-    progress = ocp.checkpointables_metadata(path).custom_metadata
-    loaded = {}
+    stored = ocp.checkpointables_metadata(path)
+    progress, loaded = stored.custom_metadata, {}
     for name, x in _to_checkpointables(template).items():
+      count = len(jax.tree.leaves(stored.metadata[name]))  # 0 if it is damaged
+      if count not in (0, len(jax.tree.leaves(x))):
+        raise UserError(
+          f'{path} was written by another version: its network can be used, but not trained'
+          ' further; name another --workdir'
+        )
       # One by one: when one of several fails, Orbax drops the others with a warning.
       loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
     return template._replace(**loaded), progress
@@ -235,6 +241,8 @@ def _load(workdir, step, load):
   try:
     with _quiet():
       return load(path)
+  except UserError:
+    raise
   except Exception as e:  # damage shows in as many ways as there are files
     raise UserError(
       f'the checkpoint {path} is damaged ({_reason(e)}): --restore=last_good trains on from the one'

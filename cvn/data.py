@@ -1,7 +1,7 @@
 """From the data set on disk to batches: a Grain pipeline with sparse targets.
 
 An element is one view of one model. Surfaces are lists of S voxels, where S is one number for the
-whole data set (`surface_slots`), so that a step is compiled for one shape. Batching adds an axis in
+whole data set (`max_voxels`), so that a step is compiled for one shape. Batching adds an axis in
 front. Reading an element touches one view's chunks, not the twelve.
 
 Elements are read, augmented (cvn.augment) and batched in the bytes that are on disk; `decode` turns
@@ -33,7 +33,7 @@ from cvn.dataset import Dataset
 from cvn.errors import UserError
 
 GREY = 245 / 255  # the background of the authors' data
-SLOT_MULTIPLE = 256  # S is a multiple of it: data sets of about one size share compiled programs
+VOXEL_MULTIPLE = 256  # S is a multiple of it: data sets of about one size share compiled programs
 
 
 class Batch(NamedTuple):
@@ -89,8 +89,8 @@ def select_rows(
   return np.array(chosen, np.int64)
 
 
-def surface_slots(dataset: Dataset) -> int:
-  """S: the most voxels a finished model of the data set has, up to the next SLOT_MULTIPLE.
+def max_voxels(dataset: Dataset) -> int:
+  """S: the most voxels a finished model of the data set has, up to the next VOXEL_MULTIPLE.
 
   Raises:
     UserError: no model is finished.
@@ -98,7 +98,7 @@ def surface_slots(dataset: Dataset) -> int:
   most = int(dataset_lib.surface_counts(dataset).max(initial=0))
   if most == 0:
     raise UserError(f'{dataset.root} holds no finished model (make them: datagen.generate)')
-  return min(-(-most // SLOT_MULTIPLE) * SLOT_MULTIPLE, dataset.manifest.capacity)
+  return min(-(-most // VOXEL_MULTIPLE) * VOXEL_MULTIPLE, dataset.manifest.capacity)
 
 
 def composite(rgba: Any, *, background: float = GREY) -> Any:
@@ -136,32 +136,34 @@ def decode(batch: Any) -> Any:
   )
 
 
-def read_shape(dataset: Dataset, row: int, view: int, *, slots: int) -> ShapeBatch:
+def read_shape(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> ShapeBatch:
   """One element of a `ShapeBatch`, as stored: its arrays without the batch axis.
 
   Args:
     dataset: the open data set.
     row: of the model.
     view: of the model.
-    slots: S, see `surface_slots`.
+    max_voxels: S, see `max_voxels`.
 
   Raises:
     UserError: the model's files are damaged.
   """
   a = dataset.arrays
   return ShapeBatch(
-    *dataset_lib.read_parts(dataset, row, a['views'][row, view], a['surface_index'][row, :slots])
+    *dataset_lib.read_parts(
+      dataset, row, a['views'][row, view], a['surface_index'][row, :max_voxels]
+    )
   )
 
 
-def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
+def read_color(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> Batch:
   """One element of a `Batch`, as stored: its arrays without the batch axis.
 
   Args:
     dataset: the open data set.
     row: of the model.
     view: of the model.
-    slots: S, see `surface_slots`.
+    max_voxels: S, see `max_voxels`.
 
   Raises:
     UserError: the model's files are damaged.
@@ -172,23 +174,23 @@ def read_color(dataset: Dataset, row: int, view: int, *, slots: int) -> Batch:
       dataset,
       row,
       a['views'][row, view],
-      a['surface_index'][row, :slots],
-      a['surface_color'][row, :slots],
-      a['flow'][row, view, :slots],
+      a['surface_index'][row, :max_voxels],
+      a['surface_color'][row, :max_voxels],
+      a['flow'][row, view, :max_voxels],
     )
   )
 
 
-def read_name(dataset: Dataset, row: int, view: int, *, slots: int) -> str:
+def read_name(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> str:
   """An element's model and azimuth; batches of them say what is in those of `read_color`.
 
   Args:
     dataset: the open data set.
     row: of the model.
     view: its number.
-    slots: for nothing, as all readers have it.
+    max_voxels: for nothing, as all readers have it.
   """
-  del slots
+  del max_voxels
   return f'{dataset.manifest.models[row].id} at {dataset.manifest.azimuths[view]:g}'
 
 
@@ -312,5 +314,5 @@ def iterate(batches: grain.MapDataset, *, num_epochs: int | None = None) -> grai
 
 
 def _reader(read, dataset):
-  one = functools.partial(read, dataset, slots=surface_slots(dataset))
+  one = functools.partial(read, dataset, max_voxels=max_voxels(dataset))
   return lambda pair: one(*pair)

@@ -9,16 +9,16 @@
   surface_color  [N,C,3]      u8   sRGB albedo
   visible        [N,V,C]      u8   1 where the view sees the voxel
   flow           [N,V,C,2]    u16  (u, v) * 65535: 1/512 of a pixel
-  facts          [N,4]        f32  what `Facts` tells of the mesh; older data sets lack its last
+  facts          [N,4]        f32  statistics of the mesh, `Facts`; older data sets lack the last
   surface_count  [N]          u32  voxels of the model; written last, so 0 means: not made
 
 The manifest's cameras are those that datagen renders with. Models of source im2avatar_release have
-views from about the same azimuths by cameras that the release does not tell, and none of their
+views from about the same azimuths, but the release does not give their cameras, and none of their
 voxels is marked as visible.
 
-Row n of every array is model n of the manifest. An array has one file a model (a shard), in which
-each view is a chunk of its own: a view is read alone. No two models share a file, so any number of
-processes may write their own models at the same time, and a model is there only when it is whole.
+Row n of every array is model n of the manifest. An array has one file (shard) for each model, in
+which each view is a chunk, so that a single view can be read. No two models share a file: any
+number of processes may write models at the same time, and a model exists only once it is complete.
 """
 
 import hashlib
@@ -65,7 +65,7 @@ class Model(NamedTuple):
 
 
 class Manifest(NamedTuple):
-  """What the data set holds, and how it was made."""
+  """The contents of the data set, and how it was made."""
 
   models: tuple[Model, ...]
   azimuths: tuple[float, ...]  # degrees, one a view
@@ -76,7 +76,7 @@ class Manifest(NamedTuple):
 
 
 class Facts(NamedTuple):
-  """What a record keeps of the mesh it was made from."""
+  """Statistics of the mesh that a record was made from."""
 
   faces: float = 0  # triangles with an area
   missing: float = 0  # files of textures and materials that are named but not there
@@ -120,7 +120,7 @@ def decode_flow(flow: Any) -> Any:
 
 
 def create(root: str, manifest: Manifest) -> Dataset:
-  """Makes an empty data set: manifest and arrays, no record.
+  """Creates an empty data set: manifest and arrays, no record.
 
   Raises:
     UserError: a data set is already there, or the place cannot be written.
@@ -134,9 +134,13 @@ def create(root: str, manifest: Manifest) -> Dataset:
 
 
 def extend(dataset: Dataset, models: Sequence[Model]) -> Dataset:
-  """Plans more models, in rows behind those that are there.
+  """Plans more models, in rows after the existing ones.
 
-  The manifest is written last: when this is cut short, the data set is as before.
+  The manifest is written last: if this is interrupted, the data set is unchanged.
+
+  Args:
+    dataset: the open data set.
+    models: the new rows.
 
   Raises:
     UserError: the place cannot be written.
@@ -154,17 +158,17 @@ def extend(dataset: Dataset, models: Sequence[Model]) -> Dataset:
 
 
 def replan(dataset: Dataset, models: Mapping[int, Model]) -> Dataset:
-  """Plans models anew that are to be made otherwise: their records are there no more.
+  """Replaces planned models; their records are dropped, to be made again.
 
   Args:
-    dataset: the data set.
-    models: row -> what stands there from now on.
+    dataset: the open data set.
+    models: the new model of each row.
 
   Raises:
     UserError: the place cannot be written.
   """
   try:
-    for row in models:  # first, so that no record is taken for what it is not
+    for row in models:  # first, so that no old record is taken for the new model's
       dataset.arrays['surface_count'][row].write(0).result()
   except ValueError as e:
     raise UserError(f'cannot write {dataset.root}: {_first_line(e)}') from e
@@ -214,16 +218,31 @@ def open_dataset(root: str) -> Dataset:
 
 
 def open_arrays(root: str) -> dict[str, ts.TensorStore]:
-  """The arrays of a data set without its manifest, which grows long: all that a worker needs.
+  """The arrays of a data set without its manifest, which can be long: all that a worker needs.
 
   Raises:
-    UserError: they are not there.
+    UserError: they are missing.
   """
   url = to_url(root)
   try:
     return {k: _open_array(url, k, None) for k in ARRAYS}
   except ValueError as e:
     raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
+
+
+def check_size(arrays: dict[str, ts.TensorStore], record: Record) -> None:
+  """Checks that a data set has room for a record.
+
+  Args:
+    arrays: of the data set, see `open_arrays`.
+    record: the model.
+
+  Raises:
+    UserError: the record has no voxel, or more than the data set's capacity.
+  """
+  count, capacity = len(record.surface_index), arrays['surface_index'].shape[1]
+  if not 0 < count <= capacity:
+    raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
 
 
 def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) -> None:
@@ -235,12 +254,10 @@ def write_record(arrays: dict[str, ts.TensorStore], row: int, record: Record) ->
     record: the model.
 
   Raises:
-    UserError: the record has no voxel or more than the data set's capacity, or the place cannot be
-      written (no space).
+    UserError: the record does not fit (`check_size`), or the place cannot be written (no space).
   """
+  check_size(arrays, record)
   count, capacity = len(record.surface_index), arrays['surface_index'].shape[1]
-  if not 0 < count <= capacity:
-    raise UserError(f'{count} surface voxels; a record holds 1 to {capacity}')
 
   def padded(x, axis, fill):
     pad = [(0, 0)] * x.ndim
@@ -330,20 +347,20 @@ def surface_counts(dataset: Dataset) -> np.ndarray:
 
 
 def digest(dataset: Dataset, rows: Sequence[int]) -> str:
-  """What identifies some models of a data set, wherever it lies: 16 hexadecimal digits.
+  """A fingerprint of some models of a data set, wherever it is stored: 16 hexadecimal digits.
 
-  Two data sets agree where their models have the same names, categories, splits, sources and
-  numbers of voxels in the same order, and the same views and settings of the generator. Models that
-  are planned later, and are not among the rows, change nothing.
+  Two fingerprints are equal if the models have the same names, categories, splits, sources and
+  numbers of voxels in the same order, and the same views and settings of the generator. Models
+  outside the rows, such as those planned later, do not matter.
 
   Args:
     dataset: the open data set.
     rows: of the models.
   """
   m, counts = dataset.manifest, surface_counts(dataset)
-  told = [m.settings, m.azimuths, m.image_size, m.grid_size]
-  told += [[*m.models[r][:4], int(counts[r])] for r in rows]
-  return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+  parts = [m.settings, m.azimuths, m.image_size, m.grid_size]
+  parts += [[*m.models[r][:4], int(counts[r])] for r in rows]
+  return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def read_json(root: str, name: str) -> Any:

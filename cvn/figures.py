@@ -31,7 +31,6 @@ MARGIN = 1.03  # of a raised camera's frame around the cube; the level camera's 
 PANEL_AZIMUTH = 30  # degrees: where a panel shows its volumes from
 RESULT_AZIMUTHS = (315, 150)  # degrees: the result's two other sides
 FONT_SIZE = 12  # pixels
-LINE_HEIGHT = 1.3  # of the font's size
 _TEXT_COLOR = (40, 40, 40)
 
 
@@ -157,7 +156,7 @@ def trim(rows: Sequence[Sequence[np.ndarray]], *, margin: int = 4) -> list[list[
 
 
 def stack(images: Sequence[np.ndarray]) -> np.ndarray:
-  """uint8 images [H, W, 3] of any widths, one below the other, at the left of a white ground."""
+  """Stacks uint8 images [H, W, 3] of any widths, left-aligned on white."""
   canvas = np.empty((sum(len(x) for x in images), max(x.shape[1] for x in images), 3), np.uint8)
   canvas[:] = WHITE
   top = 0
@@ -165,32 +164,6 @@ def stack(images: Sequence[np.ndarray]) -> np.ndarray:
     canvas[top : top + len(image), : image.shape[1]] = image
     top += len(image)
   return canvas
-
-
-def draw_text(text: str, width: int, *, gap: int = 4) -> np.ndarray:
-  """Text on white, with line breaks where the width makes them: uint8 [H, width, 3].
-
-  Args:
-    text: each of its own lines begins a new one.
-    width: in pixels; a longer word is cut.
-    gap: pixels around the text.
-  """
-  font = ImageFont.load_default(size=FONT_SIZE)
-  lines = []
-  for line in text.split('\n'):
-    lines.append('')
-    for word in line.split():
-      longer = f'{lines[-1]} {word}'.lstrip()
-      if font.getlength(longer) <= width - 2 * gap or not lines[-1]:
-        lines[-1] = longer
-      else:
-        lines.append(word)
-  height = round(LINE_HEIGHT * FONT_SIZE)
-  picture = Image.new('RGB', (width, height * len(lines) + 2 * gap), WHITE)
-  draw = ImageDraw.Draw(picture)
-  for n, line in enumerate(lines):
-    draw.text((gap, gap + height * n), line, _TEXT_COLOR, font)
-  return np.asarray(picture)
 
 
 def grid_of_images(

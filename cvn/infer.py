@@ -30,7 +30,7 @@ class Network(NamedTuple):
 
 
 class Reconstruction(NamedTuple):
-  """What networks say of views, with or without a batch axis; None what they do not predict.
+  """The networks' predictions, with or without a batch axis; None where they make none.
 
   `color` is always blend(sampled, regressed, weight), if there are these three.
   """
@@ -94,7 +94,7 @@ def reconstruct(
     threshold: probability from which on a voxel is occupied; None for the authors' 0.8, and -0.25
       for the adapted 3D-R2N2.
     alpha: in (0, 1], see `blending.recalculate_weight`.
-    flip: test-time augmentation: averages with what the networks say of the mirrored views.
+    flip: test-time augmentation: averages with the predictions for the mirrored views.
     carve: whether shapes are carved by the views' silhouettes, see cvn.carving.
     azimuths: degrees, those that a view may have been taken from; for `carve`.
 

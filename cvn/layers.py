@@ -3,8 +3,8 @@
 Every layer of the authors' program has this form, the last ones included (epsilon 1e-3, biased
 batch variance). In training the collection `batch_stats` that `apply` returns holds the statistics
 of this batch alone; `cvn.train` folds them into running averages, whose decay is the recipe's.
-A volume goes from layer to layer as the product left it, with what is still to be done: whoever
-reads it does that on the way (cvn/ops/deconv.py).
+Volumes are handed on as pre-activations with their pending normalisation, which the next operation
+applies while it reads them (cvn/ops/deconv.py).
 """
 
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ _glorot = nn.initializers.glorot_uniform()
 
 
 class PendingNorm(NamedTuple):
-  """activation(scale x + shift), a normalisation that whoever reads x applies on the way."""
+  """A pre-activation x with its pending batch-norm scale and shift: activation(scale x + shift)."""
 
   x: jax.Array  # [..., X, Y, Z, C]
   scale: jax.Array  # [C]
@@ -38,13 +38,13 @@ class PendingNorm(NamedTuple):
 
 
 def as_pending(x: jax.Array) -> PendingNorm:
-  """An array of which nothing is pending."""
+  """Wraps an array: nothing is pending."""
   c = x.shape[-1]
   return PendingNorm(x, jnp.ones(c, jnp.float32), jnp.zeros(c, jnp.float32), IDENTITY)
 
 
 def materialize(volume: PendingNorm, *, implementation: str = 'auto') -> jax.Array:
-  """The activations; `implementation` is one of dispatch.IMPLEMENTATIONS."""
+  """The activations of a volume; for `implementation` see cvn/ops/dispatch.py."""
   return activate(*volume, implementation=implementation)
 
 

@@ -31,12 +31,12 @@ from cvn.ops.normalization import IDENTITY, SIGMOID, Activation
 ENCODER = ((7, 64), (5, 64), (5, 128), (3, 128), (3, 256))  # (filter size, channels), stride 2
 DECODER = (64, 32, 32)  # channels of the deconvolutions before the heads
 
-# Of a channel of the joint volume: -0.5 where empty, and about a fortieth of it is surface.
+# Statistics of a channel of the joint volume, which is -0.5 but for the surface, about a fortieth.
 JOINT_MEAN, JOINT_SPREAD = -0.475, 0.15
 
 
 class ColorVolumes(NamedTuple):
-  """What the colour network says of every voxel; all in [0, 1]."""
+  """The colour network's three volumes; all in [0, 1]."""
 
   regressed: jax.Array  # [..., X, Y, Z, 3] sRGB
   flow: jax.Array  # [..., X, Y, Z, 2] (u, v)

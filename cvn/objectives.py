@@ -1,4 +1,4 @@
-"""What each network is trained for: the loss of its output for a batch, and metrics.
+"""The objective of each network: the loss of its output for a batch, and metrics.
 
 Every objective is (output, batch, recipe, train) -> (loss, metrics). Surfaces come as in cvn.data:
 indices [B, S, 3], padded with PADDING_INDEX, and the colours and flows of these voxels. Outside of
@@ -154,7 +154,7 @@ def _occupancy(index, size):
 
 
 def _at_surface(volume, index):
-  """A volume at the surface voxels [B, S, C], and which slots are no padding [B, S]."""
+  """A volume at the surface voxels [B, S, C], and its mask [B, S], False where padded."""
   mask = index[..., 0] < volume.shape[1]
   gather = jax.vmap(lambda v, i: v.at[tuple(i.T)].get(mode='fill', fill_value=0))
   return gather(volume, index), mask

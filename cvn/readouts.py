@@ -1,4 +1,4 @@
-"""What is read from the output of each kind of network, for inference.
+"""How the output of each kind of network is read, for inference.
 
 Views are straight-alpha sRGB [B, H, W, 4] or, without alpha, [B, H, W, 3], as uint8 or as floats in
 [0, 1]. The networks see them over the grey background of the authors' data. Colours are sampled
@@ -20,7 +20,7 @@ from cvn.data import composite
 
 
 class Volumes(NamedTuple):
-  """What one network says of views; None what it does not predict."""
+  """One network's predictions for views; None where it makes none."""
 
   probability: Any = None  # [B, X, Y, Z] of being occupied; the lowest channel of `joint`
   regressed: Any = None  # [B, X, Y, Z, 3]

@@ -74,11 +74,11 @@ def nearest_foreground(image: jax.Array, flow: jax.Array, foreground: jax.Array)
 def bilinear_foreground(image: jax.Array, flow: jax.Array) -> jax.Array:
   """Bilinear samples of the image with its background filled: training as at test time.
 
-  Blending weights learned with it are of the sampled colours that will be blended; those learned
-  with `bilinear` have seen the ground where a flow misses the object.
+  Blend weights are then trained on the sampled colours that are blended at test time. With
+  `bilinear` they are trained on the background wherever a flow misses the object.
 
   Args:
-    image: [B, H, W, 3] on a plain ground, see `foreground_from_color`.
+    image: [B, H, W, 3] on a plain background, see `foreground_from_color`.
     flow: [B, ..., 2].
 
   Returns:
@@ -164,5 +164,5 @@ def _nearest_true(mask):
 def _check(image, flow):
   if image.ndim != 4 or flow.ndim < 2 or flow.shape[-1] != 2 or flow.shape[0] != image.shape[0]:
     raise ValueError(
-      f'images [B, H, W, C] and flow [B, ..., 2] are due: {image.shape}, {flow.shape}'
+      f'images [B, H, W, C] and flow [B, ..., 2] are needed: {image.shape}, {flow.shape}'
     )

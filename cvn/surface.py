@@ -1,14 +1,13 @@
-"""The colour network's heads at surface voxels alone: all that the colour losses read.
+"""The colour network's heads, computed only where the colour losses look: at surface voxels.
 
-The grid's voxels are taken in cells of 2^3, one for each voxel of the trunk's features. Cells are
-near where they hold a surface voxel or one of its 26 neighbours: about an eighth of all cells. The
-heads' deconvolutions are computed at the voxels of near cells, the convolutions after them at
-surface voxels. Surface voxels come as in cvn.data: [B, S, 3], padded with PADDING_INDEX.
+A cell is a block of 2^3 voxels of the grid, one for each voxel of the trunk's features. A cell is
+near if it holds a surface voxel or one of its 26 neighbours, as about an eighth of all cells do.
+The heads' deconvolutions are computed in near cells, the convolutions after them at surface voxels.
+Surface voxels come as in cvn.data: [B, S, 3], padded with PADDING_INDEX.
 
-In training this is another network than `networks.ColorNetwork`, for the statistics of its
-normalisations are taken over the voxels that are computed: those of hidden layers over near cells,
-those of the three results over surface voxels. With the same statistics its values are the same;
-so a trained one is used as a `ColorNetwork`.
+In training this network differs from `networks.ColorNetwork` in its batch statistics, which are
+taken over the voxels that are computed: near cells in hidden layers, surface voxels in the three
+results. With equal statistics its values are equal, so a trained one is used as a `ColorNetwork`.
 """
 
 import functools
@@ -30,7 +29,7 @@ from cvn.ops.normalization import (
   sum_channels,
 )
 
-# Lists of near cells have room for one of these shares of all cells: the first that suffices.
+# A list of near cells has room for one of these shares of all cells: the smallest that suffices.
 SHARES = (1 / 10, 1 / 8, 5 / 32, 1 / 5, 1 / 4, 1 / 3, 1 / 2, 1)
 _CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
@@ -46,22 +45,17 @@ class Places(NamedTuple):
 
 
 def near_cells(index: jax.Array, grid_size: int) -> jax.Array:
-  """Which cells are near: [B, S, 3] -> [B, n, n, n] bool, n half the grid's size."""
+  """The near cells: [B, S, 3] -> [B, n, n, n] bool, n half the grid's size."""
   near = jax.vmap(
     lambda i: jnp.zeros((grid_size,) * 3, bool).at[tuple(i.T)].set(True, mode='drop')
   )(index)
-  for axis in (1, 2, 3):
-    pairs = near.reshape(*near.shape[:axis], -1, 2, *near.shape[axis + 1 :])
-    first, second = (jax.lax.index_in_dim(pairs, i, axis + 1, keepdims=False) for i in (0, 1))
-    edge = [(0, 0)] * axis
-    n = grid_size // 2
-    near = first | second
-    near |= jnp.pad(
-      jax.lax.slice_in_dim(second, 0, n - 1, axis=axis), [*edge, (1, 0), *[(0, 0)] * (3 - axis)]
-    )
-    near |= jnp.pad(
-      jax.lax.slice_in_dim(first, 1, n, axis=axis), [*edge, (0, 1), *[(0, 0)] * (3 - axis)]
-    )
+  for axis in (1, 2, 3):  # a cell and one voxel on both sides of it
+
+    def along(value, others, axis=axis):
+      return tuple(value if n == axis else others for n in range(4))
+
+    window, strides, padding = along(4, 1), along(2, 1), along((1, 1), (0, 0))
+    near = jax.lax.reduce_window(near, False, jnp.logical_or, window, strides, padding)
   return near
 
 
@@ -154,11 +148,10 @@ def color_heads(
 
 
 def by_capacity(function: Callable, near: jax.Array, *arrays: Any) -> tuple[jax.Array, Any]:
-  """`function(capacity, *arrays)` with the first capacity that is enough for the near cells.
+  """`function(capacity, *arrays)` with the smallest capacity that holds the near cells.
 
   Args:
-    function: its value is (scalar, what else there is); derivatives are with respect to the first
-      two arrays.
+    function: returns (scalar, other results); it is differentiated by the first two arrays.
     near: [B, n, n, n], of `near_cells`.
     *arrays: trees of arrays.
   """

@@ -1,8 +1,8 @@
-"""Which way a volume's axes run, told from where the views show its voxels.
+"""The axis order of a volume, estimated from its flows.
 
-Where an axis points to the right of a view, the flows of the voxels along it run to the right. What
-is right and down in each view our cameras (cvn/camera.py) say, in the world's axes. The one of the
-48 ways to lay a volume's axes along the world's by which flows and voxels agree best is taken.
+If an axis of the volume points to the right in a view, flows along that axis increase in u. The
+cameras of cvn/camera.py know the direction of each world axis in each view. Of the 48 possible axis
+orders, the one whose projections correlate best with the flows is chosen.
 """
 
 import itertools
@@ -17,14 +17,14 @@ OURS = ('x', 'y', 'z')
 
 
 class Axes(NamedTuple):
-  """How a volume lies in the world."""
+  """The orientation of a volume in the world."""
 
   names: tuple[str, str, str]  # each axis's direction in the world, as 'x' or '-z'
   agreement: float  # correlation of flows with where their voxels are expected, 1 at best
 
   @property
   def is_mirrored(self) -> bool:
-    """Whether they are left-handed, or the azimuths run the other way: one looks like the other."""
+    """Whether the axes are left-handed, or the azimuths run the other way: both look the same."""
     order = [name[-1] for name in self.names]
     swaps = sum(a > b for a, b in itertools.combinations(order, 2))
     return (swaps + sum(name.startswith('-') for name in self.names)) % 2 == 1
@@ -33,14 +33,15 @@ class Axes(NamedTuple):
 def find_axes(
   indices: Sequence[np.ndarray], flows: Sequence[np.ndarray], azimuths: Sequence[float]
 ) -> Axes:
-  """Finds the axes of some models' volumes, which have them in common.
+  """Estimates the axes that the volumes of several models share.
 
-  Hidden voxels fetch their colour from elsewhere, and one model may be flat: several say more.
+  Several models are better than one: hidden voxels take their colour from elsewhere, and a single
+  model may be flat.
 
   Args:
-    indices: of each model, its voxels [S, 3].
-    flows: of each model, [V, S, 2].
-    azimuths: of the views, degrees.
+    indices: voxels [S, 3] of each model.
+    flows: flows [V, S, 2] of each model.
+    azimuths: azimuths of the views, degrees.
   """
   places, with_flow, flow_square = np.zeros((3, 3)), np.zeros((len(azimuths), 3, 2)), 0.0
   for index, flow in zip(indices, flows, strict=True):

@@ -1,10 +1,10 @@
-r"""How fast records are made: a textured mesh of a given size, all views, voxels and flows.
+r"""Speed of data generation: one textured mesh with all its views, voxels and flows.
 
 python -m datagen.benchmark [--faces=20000] [--texture=1024] [--models=5]
 
-Prints the machine, the versions, the seconds a model takes in one worker process, its peak memory,
-and which part of the work takes which share. Workers share nothing: two on two cores make twice as
-many models, as far as the machine's memory keeps up.
+Prints the machine, the versions, the seconds for a model in one worker process, its peak memory,
+and the share of each part of the work. Workers share nothing, so two on two cores make twice as
+many models, as far as memory bandwidth allows.
 """
 
 import cProfile
@@ -46,7 +46,7 @@ CALLERS = ('to_mitsuba', '_scene', '_sensor')  # of functions that the profile d
 
 
 class Measured(NamedTuple):
-  """What making the same record some times took."""
+  """Timings of the same record, made several times."""
 
   seconds: tuple[float, ...]  # of each time, by the clock
   processor_seconds: tuple[float, ...]
@@ -57,11 +57,13 @@ class Measured(NamedTuple):
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
+  """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_integer('faces', 20000, 'Of the mesh, about.', lower_bound=8, **own)
-  flags.DEFINE_integer('texture', 1024, 'Pixels along its side.', lower_bound=1, **own)
-  flags.DEFINE_integer('models', 5, 'Timed, after one that is not.', lower_bound=1, **own)
+  flags.DEFINE_integer(
+    'faces', 20000, 'Approximate number of faces of the mesh.', lower_bound=8, **own
+  )
+  flags.DEFINE_integer('texture', 1024, 'Side of the texture, pixels.', lower_bound=1, **own)
+  flags.DEFINE_integer('models', 5, 'Number of timed models.', lower_bound=1, **own)
 
 
 def main(_) -> None:
@@ -69,7 +71,7 @@ def main(_) -> None:
 
 
 def run(f: flags.FlagValues) -> None:
-  """Measures as the flags say, in a worker process like those of datagen.generate."""
+  """Measures in a worker process like those of datagen.generate, and prints the result."""
   print(describe_machine())
   with process_executor(1, MEMORY) as executor:
     m = executor.submit(measure, f.faces, f.texture, f.models).result()
@@ -85,7 +87,7 @@ def run(f: flags.FlagValues) -> None:
 
 
 def describe_machine() -> str:
-  """The processor, its cores and the versions that matter."""
+  """The processor, its number of cores, and the versions of the libraries."""
   versions = ', '.join(
     f'{p} {importlib.metadata.version(p)}' for p in ('mitsuba', 'numpy', 'scipy')
   )
@@ -94,12 +96,12 @@ def describe_machine() -> str:
 
 
 def measure(faces: int, texture: int, models: int) -> Measured:
-  """Makes and writes one record many times.
+  """Makes and writes one record several times.
 
   Args:
-    faces: of the mesh, about.
-    texture: pixels along its side.
-    models: how many times are timed, after one that is not.
+    faces: approximate number of faces of the mesh.
+    texture: side of the texture, pixels.
+    models: number of timed runs, after one that is not timed.
   """
   mesh = lumpy_ball(faces, texture)
   with tempfile.TemporaryDirectory() as folder:
@@ -134,7 +136,7 @@ def _make(mesh, arrays):
 
 
 def _parts(profile):
-  """Seconds of each of `PARTS`, of Mitsuba's own functions, and of all the rest."""
+  """Seconds of each of `PARTS`, of Mitsuba's functions, and of everything else."""
   total, of_function, mitsuba = 0.0, {}, 0.0
   for (path, _, name), (_, _, own, cumulative, _) in pstats.Stats(profile).stats.items():
     total += own
@@ -147,11 +149,11 @@ def _parts(profile):
 
 
 def lumpy_ball(faces: int, texture: int) -> TexturedMesh:
-  """A ball with lumps, and checks of six colours with a grain on it.
+  """A lumpy ball with a grainy checkerboard of six colours.
 
   Args:
-    faces: how many, about.
-    texture: pixels along its side.
+    faces: approximate number of faces.
+    texture: side of the texture, pixels.
   """
   n = max(2, round(np.sqrt(faces / 2)))
   u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing='ij')

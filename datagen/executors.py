@@ -1,6 +1,7 @@
-"""Where the work is done: processes of this machine, or a Dask cluster's workers.
+"""Executors for the work: local processes, or the workers of a Dask cluster.
 
-Both are executors as `concurrent.futures` has them, which is all that datagen/pipeline.py knows.
+Both have the interface of `concurrent.futures.Executor`, the only one that datagen/pipeline.py
+uses.
 """
 
 import contextlib
@@ -23,7 +24,7 @@ CONNECT_TIMEOUT = 30  # seconds
 def process_executor(workers: int, memory: int) -> Executor:
   """Local processes, each on one core and with at most `memory` bytes.
 
-  They are started afresh (spawn), not forked: the parent has threads that a fork would leave dead.
+  They are spawned, not forked: threads of the parent would not survive a fork.
   """
   for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ.setdefault(name, '1')  # read by the children as they load their libraries
@@ -37,10 +38,10 @@ def process_executor(workers: int, memory: int) -> Executor:
 
 @contextlib.contextmanager
 def dask_client(address: str) -> Iterator:
-  """A client of the Dask scheduler at an address; its `get_executor` gives executors.
+  """A client of a Dask scheduler; its `get_executor` returns executors.
 
   Args:
-    address: as `tcp://10.0.0.1:8786`, or the name of a scheduler's --scheduler-file.
+    address: an address such as `tcp://10.0.0.1:8786`, or the scheduler's --scheduler-file.
 
   Raises:
     UserError: Dask is not installed, or no scheduler answers.
@@ -70,6 +71,6 @@ def _start_worker(memory: int) -> None:
 
 
 def _end_with_parent() -> None:
-  """A parent that is killed takes no leave of its workers, who would wait for jobs forever."""
+  """Ends a worker when its parent is killed; otherwise it would wait for jobs forever."""
   wait_for_process([parent_process().sentinel])
   os._exit(1)

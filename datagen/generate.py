@@ -5,13 +5,13 @@ python -m datagen.generate --source=meshes --category=chair --input=DIR --output
 python -m datagen.generate --source=sweethome3d --category='chair,sofa=sofa|couch' --input=DIR \
   --output=DIR
 
-The same command again makes what is missing and what has changed: meshes that were written anew,
-or are to stand otherwise (--up, --turn). --append adds other models to a data set that is there.
-Models that fail are listed, with the reason, in failures.json, and left out. contact_sheet.png
-shows some of each category; python -m datagen.inspect tells of all of them.
+Repeat the command to make models that are missing or have changed: meshes with new contents, or
+with another --up or --turn. --append adds other models to an existing data set. Models that fail
+are left out and listed with the reason in failures.json. contact_sheet.png shows some models of
+each category; python -m datagen.inspect checks all of them.
 
---scheduler=ADDRESS has a Dask cluster do the work: --input and --output must mean the same to all
-its machines, a shared file system or, for --output, a bucket (gs://, s3://).
+With --scheduler=ADDRESS a Dask cluster does the work. --input and --output must then mean the same
+on all its machines: a shared file system or, for --output, a bucket (gs://, s3://).
 """
 
 import contextlib
@@ -36,7 +36,7 @@ from datagen.executors import dask_client, process_executor
 from datagen.geometry.flow import SIMILARITY, TOLERANCE, FlowStats
 from datagen.geometry.render import SHADINGS
 from datagen.pipeline import Job, Outcome, Settings, run_jobs
-from datagen.placement import COLUMNS, TABLE, UPS, with_owners_word
+from datagen.placement import COLUMNS, TABLE, UPS, with_metadata
 from datagen.plan import keep_listed, list_models, open_or_create, plan
 from datagen.quality.contact_sheet import contact_sheet, rows_to_show
 from datagen.reading.notes import from_bits
@@ -49,82 +49,91 @@ DASK_JOBS = 4096  # in a scheduler's hands at a time
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
+  """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Where the meshes come from.', **own)
+  flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Source of the meshes.', **own)
   flags.DEFINE_list(
     'category',
     None,
-    "One category, or several separated by commas; for --source=sweethome3d also 'NAME=PATTERN', a"
-    ' regular expression of names, without commas. Several categories of --source=meshes are the'
-    ' subfolders of these names.',
+    'One category, or several separated by commas. With --source=meshes, several categories are'
+    " subfolders of these names. With --source=sweethome3d, 'NAME=PATTERN' selects models by a"
+    ' regular expression (without commas) for their names.',
     **own,
   )
-  flags.DEFINE_string('input', None, 'The folder or file that --source reads.', **own)
-  flags.DEFINE_string('output', None, 'The folder or URL of the data set.', **own)
-  flags.DEFINE_boolean('append', False, 'Add the models to the data set that is there.', **own)
-  flags.DEFINE_integer('limit', None, 'The most models of each category.', lower_bound=1, **own)
-  flags.DEFINE_integer('seed', 0, 'Of sources that make models up.', lower_bound=0, **own)
+  flags.DEFINE_string('input', None, 'Folder or file that --source reads.', **own)
+  flags.DEFINE_string('output', None, 'Folder or URL of the data set.', **own)
+  flags.DEFINE_boolean('append', False, 'Add the models to an existing data set.', **own)
+  flags.DEFINE_integer('limit', None, 'Maximum models of each category.', lower_bound=1, **own)
+  flags.DEFINE_integer('seed', 0, 'Random seed for generated models.', lower_bound=0, **own)
   flags.DEFINE_string(
     'splits',
     None,
-    'A folder of {train,val,test}_list_<category>.txt, lists of ids: the models that they name are'
-    ' made, and no others. Without it the source decides the split, or a hash of the id.',
+    'Folder of {train,val,test}_list_<category>.txt, lists of ids. Only models in these lists are'
+    ' made. By default the source decides the split, or a hash of the id.',
     **own,
   )
   flags.DEFINE_enum(
     'split',
     None,
     dataset_lib.SPLITS,
-    'The split of all models.',
+    'Split for all models.',
     **own,
   )
-  flags.DEFINE_enum('up', 'y', list(UPS), 'The axis of the files that points up.', **own)
+  flags.DEFINE_enum('up', 'y', list(UPS), 'Axis that points up in the files.', **own)
   flags.DEFINE_float(
     'turn',
     0.0,
-    'Degrees by which models are turned, anticlockwise seen from above, so that they face +z: 180'
-    ' for those that face -z, -90 for those that face +x.',
+    'Degrees to turn the models anticlockwise, seen from above, so that they face +z: 180 if they'
+    ' face -z, -90 if they face +x.',
     **own,
   )
   flags.DEFINE_string(
     'table',
     None,
-    f'A CSV file with a column id and any of {", ".join(COLUMNS)}: what it says of a model goes'
-    f' before the flags. Without it, {TABLE} in the input folder, if it is there.',
+    f'CSV file with a column id and any of {", ".join(COLUMNS)}, which override the flags for'
+    f' single models. The default is {TABLE} in the input folder, if it exists.',
     **own,
   )
-  flags.DEFINE_string('licence', None, 'Of models whose source states none.', **own)
-  flags.DEFINE_string('creator', None, 'Of models whose source states none.', **own)
-  flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
+  flags.DEFINE_string('licence', None, 'Licence of models whose source states none.', **own)
+  flags.DEFINE_string('creator', None, 'Creator of models whose source states none.', **own)
+  flags.DEFINE_enum(
+    'shading',
+    'flat',
+    SHADINGS,
+    'Views show the albedo alone (flat) or under soft light (lit).',
+    **own,
+  )
   flags.DEFINE_float(
     'tolerance',
     TOLERANCE,
-    'Voxels: a voxel this close to the surface that a view shows there is visible in it.',
+    'Maximum distance, in voxels, of a visible voxel from the surface that the view shows there.',
     lower_bound=0.1,
     **own,
   )
   flags.DEFINE_float(
     'similarity',
     SIMILARITY,
-    "RGB distance of colours in [0, 1] up to which a pixel may stand for a hidden voxel's.",
+    'Maximum RGB distance, for colours in [0, 1], of a pixel that provides the colour of a hidden'
+    ' voxel.',
     lower_bound=0.0,
     **own,
   )
-  flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
-  flags.DEFINE_string('scheduler', None, 'A Dask scheduler whose workers do the work.', **own)
+  flags.DEFINE_integer(
+    'workers', os.cpu_count(), 'Number of processes, one core each.', lower_bound=1, **own
+  )
+  flags.DEFINE_string('scheduler', None, 'Dask scheduler; its workers do the work.', **own)
   flags.DEFINE_float(
     'timeout',
     TIMEOUT,
-    'Seconds of processor time after which a model is given up.',
+    'Maximum processor time for a model, seconds; beyond it the model is skipped.',
     lower_bound=0.1,
     **own,
   )
   flags.DEFINE_float(
     'memory_limit',
     MEMORY_LIMIT,
-    'GiB that a local worker may have; a model that needs more is given up. Dask workers have a'
-    ' --memory-limit of their own.',
+    'Maximum memory of a local worker, GiB; a model that needs more is skipped. Dask workers have'
+    ' their own --memory-limit.',
     lower_bound=0.5,
     **own,
   )
@@ -136,7 +145,7 @@ def main(_) -> None:
 
 
 def run(f: flags.FlagValues) -> None:
-  """Generates as the flags say, and prints a summary."""
+  """Generates the data set and prints a summary."""
   settings = Settings(
     shading=f.shading,
     tolerance=f.tolerance,
@@ -146,7 +155,7 @@ def run(f: flags.FlagValues) -> None:
   if f.splits:
     found, note = keep_listed(found, f.splits, f.limit)
     print(note)
-  found = with_owners_word(
+  found = with_metadata(
     found,
     table=f.table,
     input_dir=f.input,
@@ -158,7 +167,9 @@ def run(f: flags.FlagValues) -> None:
   )
   turned = any(m.up != 'y' or m.turn for m in found)
   if turned and hasattr(sources.source(f.source), 'read_record'):
-    raise UserError(f'--source={f.source} holds records, which cannot be turned by --up or --turn')
+    raise UserError(
+      f'--up and --turn do not apply to --source={f.source}: it holds records, not meshes'
+    )
   planned = plan(found, f.source, input_dir=f.input)
   with contextlib.ExitStack() as stack:
     memory, in_hand = int(f.memory_limit * 2**30), None
@@ -188,7 +199,7 @@ def run(f: flags.FlagValues) -> None:
   done = dataset_lib.surface_counts(dataset) > 0
   if not done.any():
     model_id, reason = next(iter(failures.items()))
-    raise UserError(f'not one of {len(planned)} models could be made; {model_id}: {reason}')
+    raise UserError(f'none of {len(planned)} models could be made; {model_id}: {reason}')
   made = [o.row for o in outcomes if not o.reason]
   sheet = contact_sheet(dataset, rows_to_show(dataset, done, made, SHEET_MODELS))
   write_png(dataset, 'contact_sheet.png', sheet)
@@ -196,7 +207,7 @@ def run(f: flags.FlagValues) -> None:
 
 
 def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, str]:
-  """Brings failures.json up to date and returns it: id -> reason, in the order of the rows."""
+  """Updates failures.json and returns it: id -> reason, in the order of the rows."""
   models, done = dataset.manifest.models, dataset_lib.surface_counts(dataset) > 0
   failures = dataset_lib.read_json(dataset.root, 'failures.json') or {}
   failures |= {models[o.row].id: o.reason for o in outcomes if o.reason}
@@ -207,7 +218,7 @@ def _note_failures(dataset: Dataset, outcomes: Sequence[Outcome]) -> dict[str, s
 
 
 def write_png(dataset: Dataset, name: str, image: np.ndarray) -> None:
-  """Writes a picture beside the arrays, whole or not at all."""
+  """Writes an image beside the arrays, atomically."""
   png = io.BytesIO()
   Image.fromarray(image).save(png, 'PNG')
   try:
@@ -223,14 +234,14 @@ def summary(
   failures: dict[str, str],
   there: int,
 ) -> str:
-  """What the run did, for a person.
+  """A readable summary of the run.
 
   Args:
     dataset: the data set.
-    done: [N] bool, the models it holds now.
-    outcomes: of this run.
+    done: [N] bool, the models that it holds now.
+    outcomes: the outcomes of this run.
     failures: id -> reason.
-    there: how many of the models that were asked for had been made before.
+    there: number of requested models that existed before.
   """
   manifest = dataset.manifest
   splits = Counter(m.split for m, there in zip(manifest.models, done, strict=True) if there)
@@ -242,7 +253,7 @@ def summary(
   ]
   rated = [o.stats for o in made if o.stats is not None]
   if made:
-    lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
+    lines.append(f'{np.mean([o.seconds for o in made]):.2f} s for a model in one worker')
   if rated:
     lines += _flow_lines(FlowStats(*np.mean(rated, axis=0)))
   lines += _note_lines([o.facts for o in made if o.facts is not None])
@@ -255,25 +266,25 @@ def summary(
 
 
 def _note_lines(facts: Sequence[Facts]) -> list[str]:
-  """What readers missed, ignored or guessed, and of how many models."""
+  """How many models have files that readers missed, ignored or guessed."""
   lacking = sum(f.missing > 0 for f in facts)
-  lines = [f'{lacking} models name files or materials that are not there'] if lacking else []
+  lines = [f'{lacking} models name files or materials that do not exist'] if lacking else []
   counts = Counter(note for f in facts for note in from_bits(f.notes))
   lines += [f'{count} models: {note}' for note, count in counts.most_common()]
-  return [*lines, 'which models they are: datagen.inspect'] if lines else []
+  return [*lines, 'datagen.inspect lists these models'] if lines else []
 
 
 def _flow_lines(s: FlowStats) -> list[str]:
   if not s.visible:  # records that were made elsewhere
     return [
-      f'no voxel is marked as visible; the flow of {s.matched:.1%} fetches a similar colour',
-      f'colour where the flow points: off by {s.error:.3f} for all',
+      f'no voxel is marked as visible; {s.matched:.1%} of the flows fetch a similar colour',
+      f'mean colour error of the flows: {s.error:.3f}',
     ]
   return [
-    f'voxels of a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
-    f' {s.fallback:.1%} hidden with no similar colour in view',
-    f'colour where the flow points: off by {s.visible_error:.3f} for visible voxels'
-    f' ({s.visible_faithful:.1%} of them by less than 0.1), by {s.error:.3f} for all',
+    f'voxels in a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
+    f' {s.fallback:.1%} hidden without a similar colour in the view',
+    f'mean colour error of the flows: {s.visible_error:.3f} for visible voxels'
+    f' ({s.visible_faithful:.1%} of them below 0.1), {s.error:.3f} for all',
   ]
 
 

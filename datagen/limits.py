@@ -1,4 +1,4 @@
-"""Limits of time and memory for work on what strangers send."""
+"""Limits on the time and memory of work on untrusted input."""
 
 import ctypes
 import os
@@ -21,30 +21,30 @@ EXIT_STATUS = 75  # of a process that did not notice
 
 
 class _TimeIsOver(BaseException):
-  """Raised within work that took too long. No `Exception`: few readers of files catch it."""
+  """Raised in work that took too long. Not an `Exception`: file readers would catch it."""
 
 
 def call_within(seconds: float, function: Callable, *args, grace: float = GRACE):
-  """Calls a function, and gives it up when it takes too long.
+  """Calls a function, and gives up if it takes too long.
 
-  Time counts while this process computes: on a busy machine, work gets as much as on an idle one.
-  Work that waits for something else is given up after `PATIENCE` times as long.
+  The limit is on processor time, so that a busy machine gets as much work done as an idle one. Work
+  that waits for something else is given up after `PATIENCE` times as long.
 
-  It runs in a thread of its own, in which an exception is raised when time is over. Python code
-  notices at once. Native code does when it returns; if that takes more than `grace` seconds, the
-  whole process ends with `EXIT_STATUS`, because nothing less can stop it.
+  The function runs in a thread of its own, in which an exception is raised when time is up. Python
+  code stops at once, native code when it returns. If that takes more than `grace` seconds, the
+  process exits with `EXIT_STATUS`, because nothing less can stop it.
 
   Args:
-    seconds: the limit, in seconds of processor time and by the clock.
-    function: what to call.
+    seconds: the limit, in seconds of processor time and of wall time.
+    function: the function to call.
     *args: its arguments.
-    grace: seconds.
+    grace: seconds to wait for native code.
 
   Returns:
-    What the function returns.
+    The result of the function.
 
   Raises:
-    UserError: it took too long; and what the function raises.
+    UserError: it took too long. Exceptions of the function are passed on.
   """
   future: Future = Future()
 
@@ -79,10 +79,10 @@ def call_within(seconds: float, function: Callable, *args, grace: float = GRACE)
 
 
 def limit_memory(size: int) -> None:
-  """From now on this process cannot have more than `size` bytes of data: MemoryError is raised.
+  """Limits the data of this process to `size` bytes: beyond that, MemoryError is raised.
 
-  Shared libraries and files that are mapped do not count. Systems other than Linux may not heed it.
-  It is for processes that work for others: nothing in this one is spared.
+  Shared libraries and mapped files do not count. Systems other than Linux may ignore the limit. Use
+  it only in worker processes: it cannot be lifted again.
   """
   if resource is None:
     return

@@ -1,8 +1,8 @@
-"""One model -> one record; many models, over an Executor, -> a data set.
+"""One model -> one record; many models -> a data set, with an Executor.
 
-The Executor is the only seam for parallel work: anything with the interface of
-`concurrent.futures.Executor` does. Jobs and outcomes pickle; a worker writes its own record into
-the data set, and what it writes depends on the job alone, not on the other workers.
+The Executor is the only place where work becomes parallel: anything with the interface of
+`concurrent.futures.Executor` works. Jobs and outcomes can be pickled. A worker writes its own
+record into the data set, and the record depends on the job alone, not on the other workers.
 """
 
 import time
@@ -39,7 +39,7 @@ from datagen.sources import SourceModel
 
 
 class Settings(NamedTuple):
-  """How records are made: with the model itself, all that decides their bytes."""
+  """How records are made: these and the model decide every byte."""
 
   azimuths: tuple[float, ...] = AZIMUTHS  # degrees
   image_size: int = IMAGE_SIZE  # pixels
@@ -54,7 +54,7 @@ NO_MEMORY = 'it needs more memory than a worker may have'
 
 
 class Job(NamedTuple):
-  """One model to make."""
+  """A model to make."""
 
   root: str  # of the data set
   row: int
@@ -65,7 +65,7 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-  """What became of a job."""
+  """The result of a job."""
 
   row: int
   seconds: float
@@ -80,7 +80,7 @@ def make_record(
   """Turns a coloured mesh of any size into voxels, views and target flows.
 
   Raises:
-    UserError: the mesh is unfit: no faces, not finite, no extent, or nothing to see in a view.
+    UserError: the mesh is unusable: no faces, not finite, no extent, or invisible in a view.
   """
   s = settings
   mesh_lib.check(mesh)
@@ -89,7 +89,7 @@ def make_record(
   flat, depths, seen = render(mesh, cameras, image_size=s.image_size)
   for azimuth, depth in zip(s.azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
-      raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
+      raise UserError(f'the mesh is too thin to be seen from azimuth {azimuth}')
   voxels = voxelize(mesh, s.grid_size, seen)
   flow, visible, stats = target_flows(
     voxels.point,
@@ -108,12 +108,12 @@ def make_record(
 
 
 def run_job(job: Job) -> Outcome:
-  """Makes one model within its time and writes its record.
+  """Makes one model within its time limit and writes its record.
 
-  Whatever goes wrong with the model becomes the outcome's reason.
+  Any problem of the model becomes the reason in its outcome.
 
   Raises:
-    UserError: the data set cannot be written: no other model will fare better.
+    UserError: the data set cannot be written, which would affect all other models too.
   """
   start = time.perf_counter()
   stats, facts, reason = None, None, ''
@@ -121,6 +121,7 @@ def run_job(job: Job) -> Outcome:
     arrays = dataset_lib.open_arrays(job.root)
     try:
       record, made = call_within(job.timeout, _make, job)
+      dataset_lib.check_size(arrays, record)
     except UserError as e:
       reason = str(e)
     else:
@@ -156,22 +157,22 @@ def run_jobs(
   *,
   in_hand: int | None = None,
 ) -> Iterator[Outcome]:
-  """Runs jobs and yields each outcome as it comes.
+  """Runs jobs and yields each outcome when it is ready.
 
-  When a worker dies (a crash in native code), a pool of local processes is lost with all that it
-  had in hand. Those jobs are run again one by one, each in a pool of its own, and the one whose
-  pool breaks again is the one that failed. Dask gives the job of a worker that died to another one,
-  and only after several such deaths fails the job.
+  When a worker dies (a crash in native code), a pool of local processes loses all its jobs in
+  progress. These jobs are run again one by one, each in a pool of its own; the job whose pool
+  breaks again is the one that failed. Dask gives the job of a dead worker to another worker, and
+  fails it only after several deaths.
 
-  A worker that ran out of memory may keep most of it: freed memory goes back to the system only
-  where nothing above it is in use. Models that fit would fail in it, for any reason. So the pool
-  is given no more jobs, and what fails in it from then on is run again in the same way.
+  A worker that ran out of memory may keep most of it, because freed memory returns to the system
+  only if nothing above it is in use. Models that would fit then fail in it, for any reason. So such
+  a pool gets no more jobs, and what fails in it from then on is run again in the same way.
 
   Args:
-    jobs: what to do.
-    make_executor: makes an executor with that many workers.
-    workers: how many.
-    in_hand: jobs given to the executor at a time; None for twice the workers.
+    jobs: the jobs.
+    make_executor: makes an executor with the given number of workers.
+    workers: number of workers.
+    in_hand: number of jobs given to the executor at a time; None for twice the workers.
 
   Raises:
     UserError: the data set cannot be written, or the executor is lost with all its workers.
@@ -202,7 +203,7 @@ def run_jobs(
             raise
           except CancelledError as e:
             raise UserError(
-              'the scheduler has cancelled the work or is gone; the same command goes on with it'
+              'the scheduler cancelled the work or is gone; repeat the command to continue'
             ) from e
           except Exception as e:
             yield Outcome(job.row, 0.0, None, f'its worker was lost: {" ".join(str(e).split())}')

@@ -1,7 +1,7 @@
-"""How models stand in their files, and what else only their owner knows: flags and a table.
+"""The orientation of models in their files, their split, licence and creator: flags and a table.
 
-A table is a CSV file with a header. Its column `id` names the models, the other ones are any of
-`COLUMNS`; what it leaves empty the flags say.
+A table is a CSV file with a header. Its column `id` names the models; the other columns are any of
+`COLUMNS`. Empty cells take the values of the flags.
 """
 
 import csv
@@ -29,12 +29,13 @@ UPS = {  # what points up in the file -> rows that turn it to y
 
 
 def stand_up(mesh: TexturedMesh, up: str, turn: float) -> TexturedMesh:
-  """A mesh with y up, turned about y.
+  """Rotates a mesh so that y is up, then turns it about y.
 
   Args:
-    mesh: as it is in its file.
+    mesh: the mesh as in its file.
     up: the file's axis that points up, a key of `UPS`.
-    turn: degrees, anticlockwise seen from above: 180 for what faces -z, -90 for what faces +x.
+    turn: degrees, anticlockwise from above: 180 for meshes that face -z, -90 for those that face
+      +x.
   """
   if up == 'y' and turn == 0:
     return mesh
@@ -45,7 +46,7 @@ def stand_up(mesh: TexturedMesh, up: str, turn: float) -> TexturedMesh:
 
 
 def read_table(path: str) -> dict[str, dict[str, str]]:
-  """Reads a table: id -> column -> what it says, without what is empty.
+  """Reads a table: id -> column -> value, without empty cells.
 
   Raises:
     UserError: it cannot be read, has an unknown column or value, or names a model twice.
@@ -60,7 +61,7 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
   unknown = [name for name in names if name not in ('id', *COLUMNS)]
   if 'id' not in names or unknown:
     raise UserError(
-      f'{path}: its first line must name the column id and any of {", ".join(COLUMNS)}'
+      f'{path}: the first line must name the column id and any of {", ".join(COLUMNS)}'
       + (f', not {unknown[0]!r}' if unknown else '')
     )
   rows.fieldnames = names
@@ -71,7 +72,7 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
     if not model_id and not said:
       continue
     if not model_id or model_id in table:
-      what = f'{model_id} is there twice' if model_id else 'there is no id'
+      what = f'{model_id} appears twice' if model_id else 'the id is missing'
       raise UserError(f'{path}, line {rows.line_num}: {what}')
     _check(said, f'{path}, line {rows.line_num}')
     table[model_id] = said
@@ -80,18 +81,18 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
 
 def _check(said, where):
   if said.get('up', 'y') not in UPS:
-    raise UserError(f'{where}: up is {said["up"]!r}, none of {", ".join(UPS)}')
+    raise UserError(f'{where}: up is {said["up"]!r}, but must be one of {", ".join(UPS)}')
   if said.get('split', 'train') not in SPLITS:
-    raise UserError(f'{where}: split is {said["split"]!r}, none of {", ".join(SPLITS)}')
+    raise UserError(f'{where}: split is {said["split"]!r}, but must be one of {", ".join(SPLITS)}')
   try:
     turn = float(said.get('turn', 0))
   except ValueError:
     turn = np.nan
   if not np.isfinite(turn):
-    raise UserError(f'{where}: turn is {said["turn"]!r}, no number of degrees')
+    raise UserError(f'{where}: turn is {said["turn"]!r}, but must be a number of degrees')
 
 
-def with_owners_word(
+def with_metadata(
   models: Sequence[SourceModel],
   *,
   table: str | None = None,
@@ -122,7 +123,9 @@ def with_owners_word(
   said = read_table(table) if table is not None else {}
   unknown = sorted(said.keys() - {m.id for m in models})
   if said and len(unknown) == len(said):
-    raise UserError(f'{table} names none of the models: {unknown[0]} is not one, {models[0].id} is')
+    raise UserError(
+      f'{table} names none of the models: it has {unknown[0]}, the folder has {models[0].id}'
+    )
   return [
     m._replace(
       up=said.get(m.id, {}).get('up', up),

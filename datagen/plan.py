@@ -1,4 +1,4 @@
-"""Which models a data set is to hold, in which rows, and whether one that is there agrees."""
+"""The models that a data set is to hold, their rows, and whether an existing data set agrees."""
 
 import itertools
 import os
@@ -20,21 +20,23 @@ VERSION = 4  # of what is generated: the same settings and version give the same
 def list_models(
   source: str, categories: Sequence[str], input_dir: str | None, limit: int | None, seed: int
 ) -> list[SourceModel]:
-  """All the models to make, category by category.
+  """All models to make, category by category.
 
   Raises:
-    UserError: there are none, or two of one id; and what the source itself raises.
+    UserError: there are none, or two have the same id. Errors of the source are passed on.
   """
   wanted = [c.strip() for c in categories if c.strip()]
   if not wanted:
     raise UserError('--category names no category')
   if len(set(wanted)) < len(wanted):
-    raise UserError(f'--category names one twice: {",".join(wanted)}')
+    raise UserError(f'--category repeats a category: {",".join(wanted)}')
   listing = sources.source(source).list_models
   if source == 'meshes':
     for name in wanted:
       if not re.fullmatch(r'\w[\w .-]*', name):
-        raise UserError(f'--category={name} is no name: --source=meshes knows no patterns')
+        raise UserError(
+          f'--category={name} is not a name, and --source=meshes does not support patterns'
+        )
     if len(wanted) > 1:
       listing = mesh_folder.list_folders
   models = [m for c in wanted for m in listing(c, input_dir, limit, seed)]
@@ -42,22 +44,22 @@ def list_models(
     raise UserError(f'{input_dir or source} has no model of category {",".join(wanted)}')
   model_id, count = Counter(m.id for m in models).most_common(1)[0]
   if count > 1:
-    raise UserError(f'{count} models have the id {model_id}: make one category a data set')
+    raise UserError(f'{count} models have the id {model_id}: use one data set for each category')
   return models
 
 
 def keep_listed(
   models: Sequence[SourceModel], folder: str, limit: int | None
 ) -> tuple[list[SourceModel], str]:
-  """Keeps the models that lists of ids name, each with the split that its list says.
+  """Keeps the models named in lists of ids, each with its list's split.
 
   Args:
-    models: category by category.
-    folder: where the lists are.
-    limit: the most models of each category to keep; None keeps all.
+    models: the models, category by category.
+    folder: folder of the lists.
+    limit: maximum number of models of each category; None keeps all.
 
   Returns:
-    (the models, one line about what the lists and the models do not share).
+    (the models, one line about differences between lists and models).
 
   Raises:
     UserError: a category has no lists, or they name none of the models.
@@ -65,11 +67,11 @@ def keep_listed(
   lists = {c: read_splits(folder, c) for c in dict.fromkeys(m.category for m in models)}
   listed = [m._replace(split=lists[m.category][m.id]) for m in models if m.id in lists[m.category]]
   if not listed:
-    raise UserError(f'no list in {folder} names {models[0].id} or another of the models')
+    raise UserError(f'the lists in {folder} name none of the models, such as {models[0].id}')
   absent = sum(map(len, lists.values())) - len(listed)
   note = (
-    f'{folder}: {len(listed)} models listed and there, {absent} listed but not there,'
-    f' {len(models) - len(listed)} there but not listed (left out)'
+    f'{folder}: {len(listed)} models listed and found, {absent} listed but not found,'
+    f' {len(models) - len(listed)} found but not listed (left out)'
   )
   by_category = itertools.groupby(listed, key=lambda m: m.category)
   return [m for _, group in by_category for m in itertools.islice(group, limit)], note
@@ -78,12 +80,12 @@ def keep_listed(
 def plan(
   models: Sequence[SourceModel], source: str, *, input_dir: str | None = None
 ) -> list[Model]:
-  """What the data set says of each model.
+  """The manifest's entries for models.
 
   Args:
-    models: as the source lists them. Where they have no split, a hash of the id gives it.
-    source: its name.
-    input_dir: paths are kept relative to it, so that the folder may move.
+    models: the models as listed by their source. A hash of the id replaces a missing split.
+    source: name of the source.
+    input_dir: paths are stored relative to it, so that the folder can move.
   """
   return [
     Model(
@@ -103,7 +105,7 @@ def plan(
 
 
 def _relative(path: str, input_dir: str | None) -> str:
-  """A path below the input folder; beside it, where the input is a file."""
+  """A path relative to the input folder, or to the folder of the input file."""
   if not path:
     return ''
   if input_dir and os.path.isdir(input_dir):
@@ -112,28 +114,28 @@ def _relative(path: str, input_dir: str | None) -> str:
 
 
 def _without(model: Model) -> Model:
-  """A model without that for which it is made anew when it changes."""
+  """A model without the fields whose changes cause it to be made again."""
   return model._replace(content='', up='y', turn=0.0)
 
 
 def open_or_create(
   root: str, models: Sequence[Model], settings: Settings, *, append: bool
 ) -> tuple[Dataset, list[int]]:
-  """Makes the data set, or opens the one that is there when it goes with this one.
+  """Creates the data set, or opens an existing one that agrees.
 
   Args:
     root: its folder or URL.
-    models: that it is to hold.
+    models: the models that it is to hold.
     settings: how its records are made.
-    append: whether to plan the models that a data set that is there does not hold.
+    append: whether to add models that an existing data set does not hold.
 
   Returns:
-    (the data set, the row of each model). Models whose files, `up` or `turn` have changed are not
-    made any more.
+    (the data set, the row of each model). Models whose files, `up` or `turn` have changed count as
+    not made.
 
   Raises:
-    UserError: the data set that is there was made with other settings, holds another model of the
-      same id, or lacks models without `append`.
+    UserError: the existing data set was made with other settings, holds another model of the same
+      id, or lacks models without `append`.
   """
   settings_json = {
     'shading': settings.shading,

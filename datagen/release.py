@@ -1,4 +1,4 @@
-"""The authors' released folders: what lies where, under which name, and how it is stored.
+"""The layout and storage of the authors' released folders.
 
   ShapeNetCore_im2avatar/<synset>/<id>/    human_im2avatar/<clothes>/<mesh>/
     views/<view>.png                         views/<view>.png
@@ -6,13 +6,13 @@
     models/64_<view>_coor.h5                 flow/64_<view>_coor.h5
 
 <view> is an azimuth in radians with three decimals, 0.000, 0.523, ... 5.757: twelfths of a circle
-whose π is 3.14. An HDF5 file holds one dataset, `data`: [64, 64, 64, 3] colours or [64, 64, 64, 2]
-flows (u, v), in [0, 1] and -1 where no surface is. 64 is the size of the grid. Which axis of a
-volume is which is not said; they are taken to be ours (x right, y up, z to the front).
+with π = 3.14. An HDF5 file holds one dataset, `data`: colours [64, 64, 64, 3] or flows (u, v) [64,
+64, 64, 2], in [0, 1] and -1 off the surface. 64 is the size of the grid. The release does not state
+the order of a volume's axes; it is taken to be ours (x right, y up, z to the front).
 
-Views are RGB without alpha. A pixel is ground when all its channels equal the red of the top-left
-pixel (245 in the release): that is the authors' rule, by which white is told from ground, but not
-an object's own grey 245.
+Views are RGB without alpha. A pixel is background if all its channels equal the red channel of the
+top-left pixel (245 in the release). This is the authors' rule. It separates white from the
+background, but not a foreground grey of exactly 245.
 """
 
 import io
@@ -40,7 +40,7 @@ _PACKING = {'compression': 'gzip', 'compression_opts': 4, 'shuffle': True}
 
 
 def h5py() -> ModuleType:
-  """The library that reads and writes HDF5, which only these folders need.
+  """The HDF5 library, which only these folders need.
 
   Raises:
     UserError: it is not installed.
@@ -48,57 +48,55 @@ def h5py() -> ModuleType:
   try:
     import h5py
   except ImportError as e:
-    raise UserError(
-      "the authors' released folders need the package h5py: pip install -e '.[release]'"
-    ) from e
+    raise UserError("the authors' released folders need h5py: pip install 'cvn[release]'") from e
   return h5py
 
 
 def view_name(azimuth: float) -> str:
-  """What a view at an azimuth in degrees is called."""
+  """The name of a view at an azimuth in degrees."""
   return f'{azimuth / 180 * _PI:.3f}'
 
 
 def view_azimuth(name: str) -> float:
-  """The azimuth in degrees of a view that is called so."""
+  """The azimuth in degrees of a view with this name."""
   return float(name) / _PI * 180
 
 
 def view_path(view: str) -> str:
-  """Where a view's picture is, below the model's folder."""
+  """Path of a view's image below the model's folder."""
   return f'views/{view}.png'
 
 
 def volume_path(category: str, folder: str, grid_size: int) -> str:
-  """Where the colours are, below the model's `folder`, whose name counts."""
+  """Path of the colours below the model's `folder`; it may contain the folder's name."""
   if category == HUMAN:
     return f'{os.path.basename(folder)}.h5'
   return f'models/model_normalized_{grid_size}.h5'
 
 
 def flow_path(category: str, view: str, grid_size: int) -> str:
-  """Where a view's flows are, below the model's folder."""
+  """Path of a view's flows below the model's folder."""
   return f'{"flow" if category == HUMAN else "models"}/{grid_size}_{view}_coor.h5'
 
 
 def collection(category: str) -> str:
-  """The folder of all categories that are laid out as this one."""
+  """The folder of all categories with the same layout as this one."""
   return COLLECTIONS[category == HUMAN]
 
 
 def category_folder(category: str) -> str:
-  """What a category but people is called in folders and lists: its synset, where it has one."""
+  """Name of a category (except people) in folders and lists: its synset, if it has one."""
   return SYNSETS.get(category, category)
 
 
 def model_folder(category: str, model_id: str) -> str:
-  """A model's folder, below that of its collection.
+  """A model's folder below that of its collection.
 
-  Of an id in two parts, `clothes9_mesh8`, the first names the clothes; one without is of the
-  clothes `human`.
+  An id in two parts such as `clothes9_mesh8` begins with the clothes; an id without clothes belongs
+  to the clothes `human`.
 
   Raises:
-    UserError: category or id cannot be a folder's name.
+    UserError: category or id cannot be the name of a folder.
   """
   if category == HUMAN:
     parts = model_id.split('_', 1) if '_' in model_id else [HUMAN, model_id]
@@ -114,12 +112,12 @@ def read_array(content: bytes, name: str, shape: tuple[int, ...]) -> np.ndarray:
   """The dataset `data` of an HDF5 file, as float32.
 
   Args:
-    content: of the file.
-    name: of the file, for messages.
-    shape: that it must have.
+    content: the file's bytes.
+    name: the file's name, for messages.
+    shape: the expected shape.
 
   Raises:
-    UserError: it is no such file, or holds no such array.
+    UserError: it is not an HDF5 file, or does not hold such an array.
   """
   lib = h5py()
   try:
@@ -140,10 +138,10 @@ def read_array(content: bytes, name: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def write_array(path: str, array: np.ndarray) -> None:
-  """Writes an array as the one dataset of an HDF5 file, whole or not at all.
+  """Writes an array as the only dataset of an HDF5 file, atomically.
 
   Raises:
-    UserError: the place cannot be written.
+    UserError: the file cannot be written.
   """
   lib = h5py()
   with atomic_write(path) as temporary, lib.File(temporary, 'w') as file:
@@ -151,18 +149,18 @@ def write_array(path: str, array: np.ndarray) -> None:
 
 
 def read_view(content: bytes, name: str, size: int) -> np.ndarray:
-  """A picture, with alpha by the authors' rule.
+  """An image, with alpha by the authors' rule.
 
   Args:
-    content: of the file.
-    name: of the file, for messages.
-    size: pixels that its sides must have.
+    content: the file's bytes.
+    name: the file's name, for messages.
+    size: expected height and width, pixels.
 
   Returns:
     [size, size, 4] u8; alpha is 0 or 255.
 
   Raises:
-    UserError: it is no PNG of that size, or shows nothing but ground.
+    UserError: it is not a PNG of this size, or shows only background.
   """
   try:
     with Image.open(io.BytesIO(content), formats=['PNG']) as image:
@@ -177,17 +175,17 @@ def read_view(content: bytes, name: str, size: int) -> np.ndarray:
     raise UserError(f'{name} has {width} x {height} pixels, not {size} x {size}')
   foreground = (rgb != rgb[0, 0, 0]).any(-1)
   if not foreground.any():
-    raise UserError(f'{name} shows nothing but its ground')
+    raise UserError(f'{name} shows only its background')
   return np.concatenate([rgb, np.uint8(255) * foreground[..., None]], -1)
 
 
 def write_view(path: str, rgba: np.ndarray) -> None:
-  """Writes [H, W, 4] u8 as RGB on grey 245, with hard edges, whole or not at all.
+  """Writes [H, W, 4] u8 as RGB on grey 245, with hard edges, atomically.
 
-  The object's own pixels of exactly that grey become 244, so that they are not taken for ground.
+  Foreground pixels of exactly this grey become 244, so that they do not count as background.
 
   Raises:
-    UserError: the place cannot be written.
+    UserError: the file cannot be written.
   """
   alpha = rgba[..., 3:] / 255
   rgb = np.round(rgba[..., :3] * alpha + GROUND * (1 - alpha)).astype(np.uint8)
@@ -199,15 +197,15 @@ def write_view(path: str, rgba: np.ndarray) -> None:
 
 
 def claim(folder: str, name: str, content: dict[str, Any]) -> None:
-  """Notes in a folder what its files are written from, or checks that it is the same as before.
+  """Records in a folder what its files are written from, or checks that this has not changed.
 
   Args:
-    folder: that is written; made where it is missing.
-    name: of the note.
+    folder: the folder; it is created if missing.
+    name: file name of the record.
     content: JSON values.
 
   Raises:
-    UserError: the files there were written from something else, or the place cannot be written.
+    UserError: the existing files were written from something else, or nothing can be written.
   """
   path = os.path.join(folder, name)
   text = json.dumps(content, indent=1, sort_keys=True) + '\n'
@@ -222,6 +220,6 @@ def claim(folder: str, name: str, content: dict[str, Any]) -> None:
     raise UserError(f'cannot read {path}: {getattr(e, "strerror", None) or e}') from e
   if before != text:
     raise UserError(
-      f'{folder} holds what was written from something else (see {name} in it): choose another'
-      ' --output, or delete it'
+      f'{folder} was written from something else (see {name} there): choose another --output, or'
+      ' delete it'
     )

@@ -1,4 +1,4 @@
-"""Which split a model belongs to: by hash, by rank, or from lists in files."""
+"""The split of a model: by a hash, by rank, or from lists in files."""
 
 import hashlib
 import math
@@ -20,11 +20,11 @@ SYNSETS = {  # of the paper's categories, as ShapeNet and the authors' lists nam
 
 
 def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
-  """The split of a model; it depends on nothing but the id.
+  """The split of a model, a function of its id alone.
 
   Args:
     model_id: any text.
-    fractions: shares of train, val and test, of sum 1.
+    fractions: shares of train, val and test, with sum 1.
 
   Returns:
     'train', 'val' or 'test'.
@@ -38,14 +38,14 @@ def split_of(model_id: str, fractions: Sequence[float] = FRACTIONS) -> str:
 def ranked_splits(
   families: Mapping[str, str], fractions: Sequence[float] = FRACTIONS
 ) -> dict[str, str]:
-  """The splits of a small collection, whose shares a hash alone would miss.
+  """Splits of a small collection, for which a hash alone would miss the shares.
 
-  Families stand in the order of their hashes: the first are for testing until their models are the
-  share asked for, the next for validation, the others for training. A single model is for testing.
+  Families are ordered by their hashes. The first ones are for testing until they have the requested
+  share of models, the next for validation, the rest for training. A single model is for testing.
 
   Args:
-    families: model id -> what it has in common with the models that must share its split.
-    fractions: shares of train, val and test, of sum 1; those of test and val are rounded up.
+    families: model id -> its family; models of a family share a split.
+    fractions: shares of train, val and test, with sum 1; test and val are rounded up.
 
   Returns:
     model id -> 'train', 'val' or 'test'.
@@ -64,7 +64,7 @@ def ranked_splits(
 
 
 def write_splits(folder: str, category: str, splits: Mapping[str, str]) -> None:
-  """Writes the lists that `read_splits` reads, each in the order of its ids."""
+  """Writes the lists that `read_splits` reads, each in the order of the ids."""
   for split in SPLITS:
     ids = sorted(model_id for model_id, s in splits.items() if s == split)
     with atomic_write(os.path.join(folder, f'{split}_list_{category}.txt')) as temporary:
@@ -73,17 +73,17 @@ def write_splits(folder: str, category: str, splits: Mapping[str, str]) -> None:
 
 
 def read_splits(folder: str, category: str) -> dict[str, str]:
-  """Reads `{train,val,test}_list_<category>.txt`, one id a line, as the authors' lists are.
+  """Reads `{train,val,test}_list_<category>.txt` with one id a line, as in the authors' lists.
 
-  A file may have the name of the category's synset instead, as those for ShapeNet have.
-  An id of two words, as 'clothes1 mesh2' in the lists of people, is joined by an underscore, as the
-  parts of a path are in the ids of the source `meshes`. A split without a file is empty.
+  A file may be named after the category's synset instead, like the authors' lists for ShapeNet. An
+  id of two words, such as 'clothes1 mesh2' in the lists of people, is joined by an underscore, like
+  the parts of a path in the ids of the source `meshes`. A split without a file is empty.
 
   Returns:
     id -> split.
 
   Raises:
-    UserError: no such file, an unreadable one, or an id of two splits.
+    UserError: no such file, an unreadable one, or an id in two splits.
   """
   splits: dict[str, str] = {}
   names = dict.fromkeys([category, SYNSETS.get(category, category)])

@@ -2,13 +2,13 @@ r"""A data set -> the layout of the authors' released folders, for their program
 
 python -m datagen.write_release --data=DIR --output=DIR [--split=test] [--category=NAME,...]
 
-The output is a folder for their programs to be started in:
+Start the authors' programs in the output folder:
 
   data/ShapeNetCore_im2avatar/<synset>/<id>/...   data/human_im2avatar/<clothes>/<mesh>/...
   data_list/{train,val,test}_list_<synset>.txt    data_list/{train,test}_list_human.txt
 
-as datagen/release.py says; a category without a synset has its own name in its place. Files that
-are there are kept: the same command again writes only what is missing.
+datagen/release.py documents the layout; a category without a synset uses its own name. Existing
+files are kept: the same command writes only what is missing.
 """
 
 import itertools
@@ -29,12 +29,12 @@ from datagen import release
 
 
 def define_flags(f: flags.FlagValues) -> None:
-  """The program's flags. Not at import: there the names of several programs would collide."""
+  """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The folder or URL of the data set.', **own)
-  flags.DEFINE_string('output', None, 'The folder that is written.', **own)
-  flags.DEFINE_enum('split', None, SPLITS, 'The models to write; all of them by default.', **own)
-  flags.DEFINE_list('category', [], 'Categories to write; all of them by default.', **own)
+  flags.DEFINE_string('data', None, 'Folder or URL of the data set.', **own)
+  flags.DEFINE_string('output', None, 'Folder to write.', **own)
+  flags.DEFINE_enum('split', None, SPLITS, 'Split to write; all by default.', **own)
+  flags.DEFINE_list('category', [], 'Categories to write; all by default.', **own)
   flags.mark_flags_as_required(['data', 'output'], f)
 
 
@@ -43,7 +43,7 @@ def main(_) -> None:
 
 
 def run(f: flags.FlagValues) -> None:
-  """Writes as the flags say, and prints what it did."""
+  """Writes the files and prints a summary."""
   release.h5py()
   dataset = dataset_lib.open_dataset(f.data)
   counts = dataset_lib.surface_counts(dataset)
@@ -64,10 +64,10 @@ def run(f: flags.FlagValues) -> None:
 
 
 def write_model(dataset: Dataset, row: int, output: str) -> bool:
-  """Writes those files of a model that are not there; returns whether there were any.
+  """Writes the missing files of a model; returns whether there were any.
 
   Raises:
-    UserError: the place cannot be written.
+    UserError: a file cannot be written.
   """
   m, size = dataset.manifest.models[row], dataset.manifest.grid_size
   folder = os.path.join(
@@ -99,12 +99,12 @@ def write_model(dataset: Dataset, row: int, output: str) -> bool:
 
 
 def write_lists(dataset: Dataset, rows: Sequence[int], output: str) -> None:
-  """Writes the lists of ids: all three of a category, as the authors' programs want to read them.
+  """Writes the lists of ids: three for each category, as the authors' programs expect.
 
-  People have a list of validation only where there are models for it.
+  People have a validation list only if there are models for it.
 
   Raises:
-    UserError: the place cannot be written.
+    UserError: a file cannot be written.
   """
   lists = defaultdict(list)
   for row in rows:

@@ -1,11 +1,17 @@
-r"""Mean IoU and surface PSNR of trained networks on a split of a data set.
+r"""Metrics of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
   [--category=NAME,...] [--source=NAME,...] [--alpha=NUMBER|val] [--threshold=NUMBER|val] [--flip]
-  [--carve] [--baselines] [--json=FILE]
+  [--carve] [--baselines] [--retrieval] [--pictures] [--reference_data=DIR]
+  [--reference_source=NAME,...] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
+
+Shapes have an IoU, F-scores at tolerances from 1/200 to 1/20 of the cube's side, and a Chamfer
+distance in sides of the cube (cvn/evaluation/surfaces.py); colours have a surface PSNR. With
+--pictures, results are drawn from all azimuths and compared with pictures of the truth by PSNR and
+SSIM (cvn/evaluation/pictures.py).
 
 Means are over all views of all models: by view, by category and in total. The last column of the
 paper's tables is the mean of the categories' means. With --shape alone there is no PSNR; with
@@ -14,12 +20,19 @@ it is counted, and left out of the mean. No view counts for more than 58.9 dB, t
 true colours to 8 bits.
 
 --baselines adds two trivial baselines made from the split train: the mean shape of the model's
-category, and its mean surface colour on the same voxels as the networks' colours.
+category, and its mean surface colour on the same voxels as the networks' colours. --retrieval adds
+what a network could reach that only remembers: the training model with the view whose outline, or
+whose code in the shape network, is most similar, and, as a bound, the training model that is
+nearest to the truth. A looked-up model is evaluated with its own shape and colours.
+
+The splits val and train that thresholds, alpha, baselines and retrieval use are those of --data or,
+for a data set that has only a test split, of --reference_data.
 """
 
 import contextlib
 import functools
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -32,9 +45,13 @@ from cvn.errors import UserError
 from cvn.evaluation import baselines
 from cvn.files import atomic_write
 from experiments.lib import cli, markdown, scoring, stages
+from experiments.lib import memory as memories
 from experiments.lib.evaluation import ALPHAS, Settings, define_flags, make_options, read_flags
+from experiments.lib.memory import WAYS, Memory
 from experiments.lib.scoring import METRICS, Baseline, Network
 
+DETAILED = ('iou', 'psnr_rgb', 'psnr_ycbcr')  # also told by category and view
+WHO = {'networks': 'networks', 'baselines': 'mean shape, mean colour', **WAYS}
 UNKNOWN_CAMERA = 'im2avatar_release'  # the source of models whose views have another camera
 
 
@@ -56,6 +73,12 @@ def evaluate(s: Settings) -> dict[str, Any]:
   """
   if not (s.shape or s.color):
     raise UserError('give --shape=WORKDIR, --color=WORKDIR or both')
+  if s.retrieval and not s.shape:
+    raise UserError('--retrieval needs --shape=WORKDIR: its encoder compares the views')
+  if s.pictures and not (s.shape and s.color):
+    raise UserError(
+      '--pictures needs --shape=WORKDIR and --color=WORKDIR: it draws coloured shapes'
+    )
   dataset = open_dataset(s.data)
   rows = data.select_rows(dataset, s.split, categories=s.category, sources=s.source)
   if len(rows) == 0:
@@ -72,13 +95,17 @@ def evaluate(s: Settings) -> dict[str, Any]:
       "--carve assumes this project's camera; the camera of the authors' released views is unknown,"
       ' so shapes may lose voxels that they should keep'
     )
-  means = find_baselines(dataset, rows) if s.baselines else {}
-  options = {'flip': s.flip, 'carve': s.carve}
-  threshold = find_threshold(s, dataset, shape, color)
-  alpha = find_alpha(s, dataset, shape, color, threshold)
+  reference = open_reference(s, dataset)
+  means = find_baselines(reference, {models[row].category for row in rows}) if s.baselines else {}
+  memory = find_memory(s, reference, shape) if s.retrieval else None
+  options = {'flip': s.flip, 'carve': s.carve, 'drawn': s.pictures}
+  threshold = find_threshold(s, reference, shape, color)
+  alpha = find_alpha(s, reference, shape, color, threshold)
   options |= {'alpha': alpha, 'threshold': threshold}
   found = [
-    scoring.score_model(dataset, row, shape, color, means.get(models[row].category), **options)
+    scoring.score_model(
+      dataset, row, shape, color, means.get(models[row].category), memory, **options
+    )
     for row in tqdm(rows, desc=f'evaluate {s.split}', unit='model', disable=None)
   ]
   return {
@@ -86,6 +113,24 @@ def evaluate(s: Settings) -> dict[str, Any]:
     **{'options': make_options(s, dataset), 'alpha': alpha, 'threshold': threshold},
     **summarize(dataset, rows, found),
   }
+
+
+def open_reference(s: Settings, dataset: Dataset) -> Dataset:
+  """The data set that thresholds, alpha, baselines and retrieval use.
+
+  Raises:
+    UserError: it cannot be read, or it has other sizes.
+  """
+  if not s.reference_data:
+    return dataset
+  reference = open_dataset(s.reference_data)
+  sizes = [(d.manifest.image_size, d.manifest.grid_size) for d in (dataset, reference)]
+  if sizes[0] != sizes[1]:
+    raise UserError(
+      f'{s.reference_data} has {sizes[1][0]}-pixel views and a grid of {sizes[1][1]}, {s.data}'
+      f' {sizes[0][0]} and {sizes[0][1]}: --reference_data must be of the same sizes'
+    )
+  return reference
 
 
 def find_threshold(
@@ -129,35 +174,56 @@ def find_alpha(
 
 
 def _validation_rows(s, dataset, name):
-  rows = data.select_rows(dataset, 'val', categories=s.category, sources=s.source)
+  sources = s.reference_source or (() if s.reference_data else s.source)
+  rows = data.select_rows(dataset, 'val', categories=s.category, sources=sources)
   if len(rows) == 0:
-    raise UserError(f'{s.data} has no finished model in the split val: give a --{name}')
+    raise UserError(
+      f'{dataset.root} has no finished model in the split val: give a --{name}, or another data set'
+      ' as --reference_data'
+    )
   return rows
 
 
-def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
-  """The baselines of the rows' categories.
+def find_baselines(dataset: Dataset, categories: Iterable[str]) -> dict[str, Baseline]:
+  """The baselines of some categories, from the data set's split train.
 
   Raises:
     UserError: a category has no training model.
   """
   models = dataset.manifest.models
-  wanted = sorted({models[row].category for row in rows})
+  wanted = sorted(categories)
+  known = [c for c in wanted if any(m.category == c for m in models)] or wanted
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
   for row in tqdm(
-    data.select_rows(dataset, 'train', categories=wanted), desc='baselines', disable=None
+    data.select_rows(dataset, 'train', categories=known), desc='baselines', disable=None
   ):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)
   for c in wanted:
     if not surfaces[c]:
-      raise UserError(f'{dataset.root} has no finished {c} in the split train: no --baselines')
+      raise UserError(
+        f'{dataset.root} has no finished {c} in the split train: give another data set as'
+        ' --reference_data, or no --baselines'
+      )
   size = dataset.manifest.grid_size
   return {
     c: Baseline(baselines.mean_shape(surfaces[c], size), baselines.mean_color(colors[c]))
     for c in wanted
   }
+
+
+def find_memory(s: Settings, dataset: Dataset, shape: Network) -> Memory:
+  """The training models of the settings' categories.
+
+  Raises:
+    UserError: there is none.
+  """
+  rows = data.select_rows(dataset, 'train', categories=s.category)
+  if len(rows) == 0:
+    raise UserError(f'{dataset.root} has no finished model in the split train: no --retrieval')
+  progress = tqdm(rows, desc='training models', unit='model', disable=None)
+  return memories.remember(dataset, progress, shape)
 
 
 def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
@@ -178,6 +244,7 @@ def summarize(dataset: Dataset, rows, found) -> dict[str, Any]:
     by_category = {c: means(table, models=n) for c, n in chosen.items()}
     report[who] = {
       'total': means(table),
+      'error': {k: error(v) for k, v in table.items()},
       'mean_of_categories': {
         k: mean(np.array([m[k] for m in by_category.values()], float)) for k in METRICS
       },
@@ -203,6 +270,13 @@ def mean(values: np.ndarray) -> float | None:
   return result if math.isfinite(result) else None
 
 
+def error(table: np.ndarray) -> float | None:
+  """The standard error over models of their means over views [models, V]; None for one."""
+  by_model = np.array([np.mean(v[~np.isnan(v)]) for v in table if not np.isnan(v).all()])
+  result = np.std(by_model, ddof=1) / np.sqrt(len(by_model)) if len(by_model) > 1 else math.nan
+  return float(result) if math.isfinite(result) else None
+
+
 def print_report(report: dict[str, Any]) -> None:
   """Prints the means."""
   print(f'{report["models"]} models of the split {report["split"]}, {report["views"]} views each')
@@ -212,8 +286,9 @@ def print_report(report: dict[str, Any]) -> None:
     print('no --shape: colours are evaluated on the true shapes')
   if report['color']:
     print(f'alpha: {report["alpha"]:g}')
+  print(f'\n{measures_table(report)}\n')
   whose = [w for w in ('networks', 'baselines') if w in report]
-  used = [k for k in METRICS if report['networks']['total'][k] is not None]
+  used = [k for k in DETAILED if report['networks']['total'][k] is not None]
   head = {'networks': '{}', 'baselines': '({})'}
   titles = [head[w].format(METRICS[k]) for k in used for w in whose]
 
@@ -232,6 +307,21 @@ def print_report(report: dict[str, Any]) -> None:
   empty = report['networks']['views_without_voxels']
   if empty:
     print(f'{empty} views have no occupied voxel and no PSNR')
+
+
+def measures_table(report: dict[str, Any]) -> str:
+  """All metrics of the networks and of what they are compared with, ± the standard error."""
+  used = [k for k in METRICS if report['networks']['total'][k] is not None]
+
+  def cell(who, metric):
+    value, spread = (report[who][kind][metric] for kind in ('total', 'error'))
+    if value is None:
+      return markdown.NONE
+    return f'{value:.3f}' if spread is None else f'{value:.3f} {markdown.detail(f"± {spread:.3f}")}'
+
+  rows = [[title, *(cell(who, k) for k in used)] for who, title in WHO.items() if who in report]
+  caption = 'Means over all views of all models, ± one standard error over models'
+  return markdown.numbers(['', *(METRICS[k] for k in used)], rows, caption=caption)
 
 
 if __name__ == '__main__':

@@ -18,8 +18,8 @@ def made(tmp_path_factory):
 
 def test_a_mirrored_element_is_the_mirrored_objects_view(made):
   """Azimuth a of the object, turned over, is azimuth -a of the object mirrored in x."""
-  slots, size = data.surface_slots(made), made.manifest.grid_size
-  element = data.read_color(made, 0, 1, slots=slots)
+  slots, size = data.max_voxels(made), made.manifest.grid_size
+  element = data.read_color(made, 0, 1, max_voxels=slots)
   found = augment.mirrored(element, grid_size=size)
   real = element.index[:, 0] != grid.PADDING_INDEX
   expected = [size - 1, 0, 0] + element.index[real].astype(int) * [-1, 1, 1]
@@ -34,12 +34,12 @@ def test_a_mirrored_element_is_the_mirrored_objects_view(made):
   twice = augment.mirrored(found, grid_size=size)
   np.testing.assert_array_equal(twice.index, element.index)
   np.testing.assert_array_equal(twice.flow, element.flow)
-  shape = augment.mirrored(data.read_shape(made, 0, 1, slots=slots), grid_size=size)
+  shape = augment.mirrored(data.read_shape(made, 0, 1, max_voxels=slots), grid_size=size)
   np.testing.assert_array_equal(shape.index, found.index)
 
 
 def test_image_and_surface_are_recolored_alike(made):
-  element = data.read_color(made, 0, 1, slots=data.surface_slots(made))
+  element = data.read_color(made, 0, 1, max_voxels=data.max_voxels(made))
   ends = np.array([[0, 1], [1, 0], [0.25, 0.75]])
   found = augment.recolored(element, order=[2, 0, 1], ends=ends)
   was, now = (e.image[..., :3].astype(float) for e in (element, found))

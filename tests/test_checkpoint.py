@@ -142,6 +142,15 @@ def test_the_way_out_of_a_damaged_checkpoint_works(workdir):
   assert_equal(checkpoint.restore(workdir, make_state(0))[0], make_state(4))
 
 
+def test_the_optimiser_of_another_version_is_no_damage(workdir):
+  checkpoint.save(workdir, make_state(5), {})
+  template = make_state(0)
+  other = optax.adam(optax.constant_schedule(1e-3)).init(template.params)
+  with pytest.raises(UserError, match=r'checkpoints/5 was written by another version: its network'):
+    checkpoint.restore(workdir, template._replace(opt_state=other))
+  assert checkpoint.load_network(workdir, 'shape')
+
+
 def test_place_that_cannot_be_written(workdir):
   with open(f'{workdir}/checkpoints', 'w'):
     pass

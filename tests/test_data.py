@@ -74,7 +74,7 @@ def test_unknown_split_or_category(made):
 
 
 def test_slots_are_the_most_voxels_rounded_up(made):
-  most, slots = dataset.surface_counts(made).max(), data.surface_slots(made)
+  most, slots = dataset.surface_counts(made).max(), data.max_voxels(made)
   assert slots % 256 == 0 and slots - 256 < most <= slots
 
 
@@ -82,13 +82,13 @@ def test_slots_never_exceed_what_is_stored(tmp_path):
   tiny = synthetic.make_dataset(
     tmp_path / 'set', 1, azimuths=(0,), image_size=16, grid_size=8, capacity=200
   )
-  assert data.surface_slots(tiny) == 200
+  assert data.max_voxels(tiny) == 200
 
 
 def test_no_finished_model(tmp_path):
   empty = synthetic.make_dataset(tmp_path / 'set', 1, image_size=16, missing=(0,))
   with pytest.raises(UserError, match='no finished model'):
-    data.surface_slots(empty)
+    data.max_voxels(empty)
 
 
 def test_composite():
@@ -99,7 +99,7 @@ def test_composite():
 
 
 def test_default_background_is_the_authors_grey(made):
-  element = data.decode(data.read_shape(made, 0, 0, slots=data.surface_slots(made)))
+  element = data.decode(data.read_shape(made, 0, 0, max_voxels=data.max_voxels(made)))
   np.testing.assert_allclose(element.image[0, 0] * 255, [245] * 3, rtol=1e-6)
 
 
@@ -119,9 +119,9 @@ def test_what_is_decoded_stays_as_it_is(made):
 
 
 def test_element_is_the_record(made):
-  record, slots = dataset.read_record(made, 5), data.surface_slots(made)
+  record, slots = dataset.read_record(made, 5), data.max_voxels(made)
   count = len(record.surface_index)
-  got = data.decode(data.read_color(made, 5, 2, slots=slots))
+  got = data.decode(data.read_color(made, 5, 2, max_voxels=slots))
   np.testing.assert_array_equal(got.image, data.composite(record.views[2]))
   np.testing.assert_array_equal(got.index[:count], record.surface_index)
   assert (got.index[count:] == grid.PADDING_INDEX).all()
@@ -152,14 +152,14 @@ def test_half_of_the_elements_are_mirrored(made):
 
 
 def test_shape_element_is_the_color_element_without_its_colors(made):
-  slots = data.surface_slots(made)
-  shape, color = (f(made, 5, 2, slots=slots) for f in (data.read_shape, data.read_color))
+  slots = data.max_voxels(made)
+  shape, color = (f(made, 5, 2, max_voxels=slots) for f in (data.read_shape, data.read_color))
   np.testing.assert_array_equal(shape.image, color.image)
   np.testing.assert_array_equal(shape.index, color.index)
 
 
 def test_batch_shapes_and_types(made):
-  s = data.surface_slots(made)
+  s = data.max_voxels(made)
   batch = batches(made)[0]
   assert [(x.shape, x.dtype.name) for x in batch] == [
     ((2, 16, 16, 4), 'uint8'),
@@ -181,7 +181,7 @@ def test_reading_touches_one_view_only(tmp_path):
   """With the other views' chunks spoiled on the disk, this one still reads; and they do not."""
   tiny = {'azimuths': (0, 120, 240), 'image_size': 16, 'grid_size': 16, 'capacity': 1024}
   made = synthetic.make_dataset(tmp_path / 'set', 1, **tiny)
-  slots, expected = data.surface_slots(made), data.read_color(made, 0, 1, slots=1024)
+  slots, expected = data.max_voxels(made), data.read_color(made, 0, 1, max_voxels=1024)
   for name in ('views', 'flow', 'visible'):
     (shard,) = (p for p in (tmp_path / 'set' / name / 'c').rglob('*') if p.is_file())
     content = bytearray(shard.read_bytes())
@@ -190,12 +190,12 @@ def test_reading_touches_one_view_only(tmp_path):
     for offset, length in index[[0, 2]].astype(int):
       content[offset : offset + length] = bytes(length)
     shard.write_bytes(content)
-  got = data.read_color(made, 0, 1, slots=slots)
+  got = data.read_color(made, 0, 1, max_voxels=slots)
   np.testing.assert_array_equal(got.image, expected.image)
   np.testing.assert_array_equal(got.flow, expected.flow[:slots])
   for view in (0, 2):
     with pytest.raises(UserError):
-      data.read_color(made, 0, view, slots=slots)
+      data.read_color(made, 0, view, max_voxels=slots)
 
 
 def test_damaged_files_name_the_model(tmp_path):
@@ -207,7 +207,7 @@ def test_damaged_files_name_the_model(tmp_path):
       with open(os.path.join(folder, name), 'wb') as f:
         f.write(b'not zstd')
   with pytest.raises(UserError, match='files of model m0 are damaged'):
-    data.read_shape(made, 0, 0, slots=256)
+    data.read_shape(made, 0, 0, max_voxels=256)
   with pytest.raises(UserError, match='files of model m0 are damaged'):
     next(data.iterate(data.training_batches(data.read_shape, made, [0], batch_size=1, seed=0)))
 

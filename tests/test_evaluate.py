@@ -13,7 +13,7 @@ import synthetic
 
 from cvn import checkpoint, dataset, infer, metrics
 from cvn.errors import UserError
-from cvn.evaluation import baselines
+from cvn.evaluation import baselines, pictures, surfaces
 from cvn.grid import ColoredVoxels
 from cvn.networks import ColorNetwork, ShapeNetwork
 from experiments import evaluate as program
@@ -123,7 +123,7 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
       beaten[:, n, v] = (iou, *metrics.surface_psnr(plain, true))
   for who, x in (('networks', scores), ('baselines', beaten)):
     found = report[who]
-    for k, name in enumerate(program.METRICS):
+    for k, name in enumerate(program.DETAILED):
       near = pytest.approx
       assert found['total'][name] == near(x[k].mean(), rel=1e-4)
       assert found['by_view']['90'][name] == near(x[k, :, 1].mean(), rel=1e-4)
@@ -135,9 +135,74 @@ def test_numbers_are_the_means_over_views(tmp_path, given, capsys):
     assert found['views_without_voxels'] == 0
   lines = capsys.readouterr().out.splitlines()
   rows = [[x.strip() for x in line.strip('|').split('|')] for line in lines if line[:1] == '|']
-  labels = ['', '---', 'all', 'mean of categories', 'ball', 'egg', '0°', '90°', '200°']
+  labels = ['', '---', 'networks', 'mean shape, mean colour']
+  labels += ['', '---', 'all', 'mean of categories', 'ball', 'egg', '0°', '90°', '200°']
   assert [row[0] for row in rows] == labels
-  assert rows[2][1:3] == [f'{scores[0].mean():.3f}', f'{beaten[0].mean():.3f}']
+  means = [f'{scores[0].mean():.3f}', f'{beaten[0].mean():.3f}']
+  assert rows[6][1:3] == means and [row[1].split()[0] for row in rows[2:4]] == means
+  error = np.std(scores[0].mean(1), ddof=1) / np.sqrt(3)
+  assert report['networks']['error']['iou'] == pytest.approx(error, rel=1e-4)
+
+
+def test_shapes_are_measured_by_distances_and_pictures_too(tmp_path, given):
+  report = _evaluate(tmp_path, '--baselines', '--pictures', category='ball', **given)
+  opened = dataset.open_dataset(given['data'])
+  sizes = {'image_size': IMAGE, 'grid_size': GRID}
+  shape, color = (infer.load(given[kind], kind, **sizes) for kind in ('shape', 'color'))
+  record = dataset.read_record(opened, 4)
+  true, results = _true(record), infer.reconstruct(record.views, shape=shape, color=color)
+  trained = [dataset.read_record(opened, r) for r in (0, 2, 6, 8)]
+  mean_shape = baselines.mean_shape([t.surface_index for t in trained], GRID)
+  seen = pictures.draw_all(true, azimuths=AZIMUTHS)
+  expected = {k: [] for k in ('f_50', 'f_20', 'chamfer', 'picture_psnr', 'picture_ssim')}
+  for one in infer.split(results):
+    distances = surfaces.measure(one.occupancy, true.occupancy)
+    f_scores = surfaces.f_scores(distances, tolerances=(1 / 50, 1 / 20))
+    likeness = pictures.compare(infer.to_voxels(one), seen)
+    values = (*f_scores, surfaces.chamfer(distances), likeness.psnr, likeness.ssim)
+    for k, value in zip(expected, values, strict=True):
+      expected[k].append(value)
+  own = report['networks']['by_model']['m4']
+  for k, values in expected.items():
+    np.testing.assert_allclose(own[k], values, rtol=1e-4)
+  distances = surfaces.measure(mean_shape, true.occupancy)
+  trivial = report['baselines']['by_model']['m4']
+  np.testing.assert_allclose(trivial['chamfer'], [surfaces.chamfer(distances)] * 3)
+  assert len({*trivial['picture_ssim']}) == 1 and trivial['picture_ssim'][0] < 1
+
+
+def test_training_models_are_looked_up(tmp_path, given):
+  """A test model's twin among the training models is found by its outline and by its code."""
+  folder = str(tmp_path / 'data')
+  made = synthetic.make_dataset(
+    folder,
+    5,
+    splits=('train', 'train', 'train', 'train', 'test'),
+    azimuths=AZIMUTHS,
+    image_size=IMAGE,
+    grid_size=GRID,
+    missing=(4,),
+  )
+  dataset.write_record(made.arrays, 4, dataset.read_record(made, 2))
+  report = _evaluate(tmp_path, '--retrieval', '--pictures', **given | {'data': folder})
+  for way in ('outline', 'code', 'oracle'):
+    assert report[way]['total']['iou'] == report[way]['total']['f_200'] == 1
+    assert report[way]['total']['chamfer'] == 0
+    assert report[way]['total']['psnr_rgb'] == pytest.approx(scoring.PSNR_CEILING)
+    assert report[way]['total']['picture_ssim'] == pytest.approx(1)
+  assert report['networks']['total']['iou'] < 1
+
+
+def test_what_lookups_and_pictures_need(tmp_path, given):
+  color = {k: given[k] for k in ('data', 'color')}
+  for flag in ('--retrieval', '--pictures'):
+    with pytest.raises(UserError, match=f'{flag} needs --shape=WORKDIR'):
+      _run(flag, **color)
+  synthetic.make_dataset(
+    tmp_path / 'few', 1, splits=('test',), image_size=IMAGE, grid_size=GRID, azimuths=(0,)
+  )
+  with pytest.raises(UserError, match='no finished model in the split train: no --retrieval'):
+    _run('--retrieval', **given | {'data': tmp_path / 'few'})
 
 
 def test_the_options_are_known_before_the_evaluation(tmp_path, given):
@@ -181,7 +246,9 @@ def test_views_without_voxels_are_counted_and_left_out(tmp_path, given, capsys, 
   report = _evaluate(tmp_path, alpha=0.5, **given)
   found = report['networks']
   assert found['views_without_voxels'] == 3
-  assert found['by_view']['90'] == {'iou': 0, 'psnr_rgb': None, 'psnr_ycbcr': None}
+  at_90 = found['by_view']['90']
+  assert (at_90['iou'], at_90['psnr_rgb'], at_90['psnr_ycbcr']) == (0, None, None)
+  assert (at_90['f_20'], at_90['chamfer']) == (0, None)
   others = [found['by_view'][a]['psnr_rgb'] for a in ('0', '200')]
   assert found['total']['psnr_rgb'] == pytest.approx(np.mean(others))
   text = capsys.readouterr().out
@@ -261,6 +328,28 @@ def test_a_threshold_is_chosen_on_val_or_given(tmp_path, given, capsys):
   with pytest.raises(UserError, match='no finished model in the split val: give a --threshold'):
     _run(threshold='val', **given)
   assert not evaluation.is_threshold('high')
+
+
+def test_a_data_set_with_a_test_split_alone_is_measured_by_another_one(tmp_path, given):
+  """Threshold, alpha and baselines are the other data set's; models and scores are not."""
+  only_test = synthetic.make_dataset(
+    tmp_path / 'only_test', 2, splits=('test',), azimuths=AZIMUTHS, image_size=IMAGE, grid_size=GRID
+  ).root
+  whole = _make_with_val(tmp_path)
+  chosen = {'threshold': 'val', 'alpha': 'val'}
+  with pytest.raises(UserError, match='or another data set as --reference_data'):
+    _run(**given | chosen | {'data': only_test})
+  own = _evaluate(tmp_path, '--baselines', **given | chosen | {'data': whole})
+  far = given | chosen | {'data': only_test, 'reference_data': whole}
+  report = _evaluate(tmp_path, '--baselines', **far)
+  assert report['models'] == 2 and report['baselines']['total']['iou'] is not None
+  assert (report['threshold'], report['alpha']) == (own['threshold'], own['alpha'])
+  assert report['options']['reference_data'] == dataset.to_url(whole)
+  with pytest.raises(UserError, match='has no source'):
+    _run(**far | {'reference_source': 'nowhere'})
+  big = synthetic.make_dataset(tmp_path / 'big', 1, splits=('val',), image_size=64, grid_size=32)
+  with pytest.raises(UserError, match='must be of the same sizes'):
+    _run(**far | {'reference_data': big.root})
 
 
 def test_an_alpha_is_chosen_on_val_or_given(tmp_path, given, capsys):

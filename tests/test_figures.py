@@ -165,15 +165,6 @@ def test_stacked_images_are_filled_with_white():
   assert (image[:2, 3:] == 255).all()
 
 
-def test_text_is_broken_into_lines_that_fit():
-  one, broken = (figures.draw_text('many words in one line', w) for w in (400, 80))
-  assert one.shape[1] == 400 and broken.shape[1] == 80
-  assert len(broken) > 1.5 * len(one)
-  assert (broken[:, -4:] == 255).all() and broken.min() < 100
-  assert len(figures.draw_text('two\nlines', 400)) > len(one)
-  assert len(figures.draw_text('onelongword', 10)) == len(one)
-
-
 def test_trimming_keeps_rows_and_columns_aligned():
   def dot(row, column):
     image = np.full((20, 30, 3), 255, np.uint8)

@@ -76,11 +76,11 @@ def read_dataset(folder):
   """All that programs read of a data set."""
   opened = dataset.open_dataset(folder)
   rows = data.select_rows(opened, 'train')
-  slots = data.surface_slots(opened)
+  most = data.max_voxels(opened)
   dataset.digest(opened, rows)
   for row in rows[:2]:
     for view in range(min(2, len(opened.manifest.azimuths))):
-      data.decode(data.read_color(opened, row, view, slots=slots))
+      data.decode(data.read_color(opened, row, view, max_voxels=most))
     dataset.read_record(opened, row)
 
 

@@ -64,7 +64,7 @@ def test_vertices_that_are_not_there(tmp_path, face):
   [
     (b'f -x 1 2', 'no corner'),
     (b'f 1 2 x', 'no corner'),
-    (b'v 0,5 0,7 0,3', "'v 0,5 0,7 0,3' holds what is no number"),
+    (b'v 0,5 0,7 0,3', "'v 0,5 0,7 0,3' is not a line of numbers"),
     (b'v 0 0', 'too few'),
     (b'vt x', 'no number'),
   ],

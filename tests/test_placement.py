@@ -6,7 +6,7 @@ import trimesh
 from solids import textured
 
 from cvn.errors import UserError
-from datagen.placement import TABLE, UPS, read_table, stand_up, with_owners_word
+from datagen.placement import TABLE, UPS, read_table, stand_up, with_metadata
 from datagen.sources import SourceModel
 
 MODELS = [SourceModel(id, 'car') for id in ('a', 'b', 'c')]
@@ -49,7 +49,7 @@ def test_what_stands_already_is_not_touched():
 def test_the_table_goes_before_the_flags(tmp_path):
   (tmp_path / TABLE).write_text('id, up, turn, creator\nb, z, 90, Anna\nc,,,\nother,x,,\n')
   flags = {'up': 'x', 'split': 'test', 'licence': 'CC0', 'creator': 'Bob'}
-  a, b, c = with_owners_word(MODELS, input_dir=str(tmp_path), **flags)
+  a, b, c = with_metadata(MODELS, input_dir=str(tmp_path), **flags)
   assert a == c._replace(id='a')
   assert (a.up, a.turn, a.split, a.licence, a.creator) == ('x', 0.0, 'test', 'CC0', 'Bob')
   assert (b.up, b.turn, b.split, b.licence, b.creator) == ('z', 90.0, 'test', 'CC0', 'Anna')
@@ -57,8 +57,8 @@ def test_the_table_goes_before_the_flags(tmp_path):
 
 def test_without_a_word_models_stay_as_they_are(tmp_path):
   models = [MODELS[0]._replace(licence='own', split='val')]
-  assert with_owners_word(models, input_dir=str(tmp_path)) == models
-  assert with_owners_word(models, licence='CC0')[0].licence == 'own'
+  assert with_metadata(models, input_dir=str(tmp_path)) == models
+  assert with_metadata(models, licence='CC0')[0].licence == 'own'
 
 
 @pytest.mark.parametrize(
@@ -71,15 +71,15 @@ def test_without_a_word_models_stay_as_they_are(tmp_path):
     ('id,turn\na,left\n', "line 2: turn is 'left'"),
     ('id,turn\na,nan\n', "line 2: turn is 'nan'"),
     ('id,split\na,all\n', "line 2: split is 'all'"),
-    ('id,up\na,z\na,z\n', 'line 3: a is there twice'),
-    ('id,up\n,z\n', 'line 2: there is no id'),
-    ('id,up\nx,z\n', 'names none of the models: x is not one, a is'),
+    ('id,up\na,z\na,z\n', 'line 3: a appears twice'),
+    ('id,up\n,z\n', 'line 2: the id is missing'),
+    ('id,up\nx,z\n', 'names none of the models: it has x, the folder has a'),
   ],
 )
 def test_tables_that_are_wrong(tmp_path, text, reason):
   (tmp_path / 't.csv').write_text(text)
   with pytest.raises(UserError, match=reason):
-    with_owners_word(MODELS, table=str(tmp_path / 't.csv'))
+    with_metadata(MODELS, table=str(tmp_path / 't.csv'))
 
 
 def test_tables_that_cannot_be_read(tmp_path):

@@ -64,7 +64,7 @@ def test_text_faces_of_several_lengths(tmp_path):
   assert mesh.faces.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3]]
   with pytest.raises(UserError, match='holds fewer'):
     read(tmp_path, content + b'3 0 1 2 9 4 0 1\n2 3 9 2 0 1')
-  with pytest.raises(UserError, match='no number'):
+  with pytest.raises(UserError, match='not a number'):
     read(tmp_path, content + b'3 0 1 x 9 4 0 1\n2 3 9 2 0 1 9')
 
 

@@ -89,6 +89,18 @@ def test_alpha_is_chosen_on_val_where_a_method_leaves_it_open(data, tmp_path, co
   assert len(commands) == 2 + 1
 
 
+def test_harder_measures_have_a_file_of_their_own(data, tmp_path, commands):
+  f = parse(data, f'--workdir={tmp_path}')
+  for measures in (False, True):
+    protocol.evaluate(f, 'best', 'car', '0', measures=measures)
+  asked = [named for program, named in commands if program == 'evaluate']
+  assert [(a.get('retrieval'), a.get('pictures')) for a in asked] == [
+    (None, None),
+    ('true', 'true'),
+  ]
+  assert asked[1]['json'] == asked[0]['json'].replace('.json', '_measures.json')
+
+
 def test_categories_come_in_the_papers_order(tmp_path):
   made = synthetic.make_dataset(
     tmp_path / 'data', 3, categories=('zebra', 'chair', 'car'), image_size=32, grid_size=16

@@ -72,7 +72,8 @@ def test_commands_stand_in_their_order_with_their_times(made):
   own = stages.argv()  # of the process that runs the tests
   assert re.findall(r'^python -m (\S+)', asked, re.MULTILINE) == [
     *('experiments.collection', 'experiments.paper.iou', 'experiments.paper.psnr'),
-    *('experiments.paper.ablation', 'experiments.paper.structure', 'experiments.paper.people'),
+    *('experiments.paper.ablation', 'experiments.paper.measures', 'experiments.paper.structure'),
+    *('experiments.paper.people',),
     *('experiments.paper.figures.random', 'experiments.study.chart'),
     *(own[2:3] if own[:2] == ['python', '-m'] else ()),
   ]
@@ -94,7 +95,8 @@ def test_what_is_missing_is_left_out_with_its_command(tmp_path):
   page, text = run(tmp_path / 'out', tmp_path / 'work', per_category=1)
   missing = re.findall(r'not made yet.*?experiments[.]([a-z.]+)', text)
   assert {*missing} == {
-    *(f'paper.{x}' for x in ('iou', 'psnr', 'ablation', 'structure', 'people', 'figures.random')),
+    *(f'paper.{x}' for x in ('iou', 'psnr', 'ablation', 'measures', 'structure', 'people')),
+    'paper.figures.random',
     *(f'paper.figures.{x}' for x in ('intermediate', 'nearest', 'flow', 'threshold')),
     *('study', 'study.chart', 'collection'),
   }

@@ -21,7 +21,7 @@ def given(tmp_path_factory):
 
 def test_reads_everything(given):
   w = read_workdir(str(given))
-  assert {*w.tables} == {'iou', 'psnr', 'ablation', 'structure'}
+  assert {*w.tables} == {'iou', 'psnr', 'ablation', 'measures', 'structure'}
   car = w.tables['iou'].parts['val'].lines[0].categories['car']
   assert (car.mean, car.models, car.published) == (pytest.approx(0.35), 2, 0.395)
   assert math.isnan(w.tables['psnr'].parts['psnr_rgb'].lines[0].published)

@@ -14,8 +14,8 @@ from experiments.lib import training_pictures as program
 def test_pictures_of_a_perfect_network_show_the_truth(tmp_path, monkeypatch, kind):
   dataset = synthetic.make_dataset(tmp_path, 5)
   pairs = data.evaluation_pairs([0, 4], 2)[1:3]
-  slots = data.surface_slots(dataset)
-  truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
+  slots = data.max_voxels(dataset)
+  truth = [data.decode(data.read_color(dataset, *p, max_voxels=slots)) for p in pairs]
   truth = [grid.to_voxels(t.index, t.color) for t in truth]
   right = Reconstruction(*[None] * 7)
   if kind == 'color':

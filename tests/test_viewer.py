@@ -6,10 +6,11 @@ import re
 import shutil
 
 import numpy as np
+import pages
 import pytest
 
 from cvn import export, grid
-from experiments.lib import viewer
+from experiments.lib import page, viewer
 
 webdriver = pytest.importorskip('selenium.webdriver', reason='needs selenium')
 support = pytest.importorskip('selenium.webdriver.support.ui')
@@ -29,9 +30,8 @@ def test_embeds_the_file_beside_its_canvas():
   assert 'data-group' not in viewer.embed('a', b'', size=10)
 
 
-def test_the_script_loads_nothing():
-  assert 'http' not in viewer.SCRIPT and 'import' not in viewer.SCRIPT
-  assert '</script' not in viewer.SCRIPT
+def test_the_script_can_stand_in_a_page_that_loads_nothing():
+  pages.check_alone(page.to_html([f'# Page\n\n{viewer.embed("a", b"glTF", size=10)}']))
 
 
 def make_page(path, colors):

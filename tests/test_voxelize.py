@@ -67,6 +67,21 @@ def test_tilted_box_lies_within_its_stated_distances(seed):
   assert grid[distance <= NEAR - SLACK].all()
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_a_face_without_height_is_its_edge(seed):
+  """Occupied is every centre within half a voxel, whichever way the needle points."""
+  rng = np.random.default_rng(seed)
+  start, end = rng.uniform(-0.4, 0.4, (2, 3))
+  across = np.cross(end - start, rng.standard_normal(3))
+  apex = (start + end) / 2 + 1e-9 * across / np.linalg.norm(across)
+  along = end - start
+  t = np.clip((CENTERS - start) @ along / (along @ along), 0, 1)
+  distance = np.linalg.norm(CENTERS - start - t[..., None] * along, axis=-1) * GRID_SIZE
+  grid = occupied(trimesh.Trimesh([start, end, apex], [[0, 1, 2]], process=False))
+  assert distance[grid].max() <= np.sqrt(0.5) + SLACK  # of a rod, where no centre is as near
+  assert grid[distance <= FAR - SLACK].all()
+
+
 @pytest.mark.parametrize('cuts', [0, 3, 6])
 @pytest.mark.parametrize('seed', range(3))
 def test_sheet_is_one_layer(seed, cuts):
@@ -165,6 +180,15 @@ def test_points_are_the_nearest_of_the_surface():
   assert far.max() <= FAR + SLACK
   # Next to an edge it may be the edge's point, by which alone the voxel is occupied.
   assert (far - least < SLACK).mean() > 0.98
+
+
+def test_points_of_a_thin_rod_are_beside_their_voxels():
+  """A rod between the centres of four rows of voxels, which no centre is within half a voxel of."""
+  side = 0.02 / GRID_SIZE
+  voxels = voxelize(textured(trimesh.creation.box((side, side, 0.9))))
+  center = index_to_world(voxels.index.astype(float))
+  far = np.linalg.norm(voxels.point - center, axis=-1) * GRID_SIZE
+  assert far.max() <= np.sqrt(0.5) + SLACK
 
 
 def test_subdividing_faces_changes_colors_little():

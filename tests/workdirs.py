@@ -5,7 +5,7 @@ import json
 import numpy as np
 from PIL import Image
 
-from experiments.lib import protocol, results, runs, stages
+from experiments.lib import protocol, results, runs, scoring, stages
 from experiments.lib.results import AVERAGE, Row, Scores, Table
 from experiments.lib.runs import Run
 from experiments.paper.people import analysis as people_analysis
@@ -73,6 +73,8 @@ def write_tables(folder, *, seeds=1, **changes):
   steps = [results.summarize(row('paper', 0.2)), results.summarize(row('plus_threshold', 0.25))]
   names = [f'{split} {metric}' for split in ('val', 'test') for metric in ('iou', 'psnr_rgb')]
   write('ablation', **dict.fromkeys(names, Table(steps, [last])))
+  harder = table(row('best', 0.25), row('outline', 0.2))
+  write('measures', **dict.fromkeys(scoring.METRICS, harder))
   write('structure', iou=shapes, psnr_rgb=shapes)
 
 

@@ -1,1 +1,1 @@
-"""What results are judged by beside cvn.metrics: baselines, intervals, the colours of the views."""
+"""Evaluation beyond cvn.metrics: baselines, bootstrap intervals, colour complexity of views."""

@@ -1,6 +1,6 @@
-"""What a network must beat: one mean shape and one mean colour for all pictures.
+"""Trivial baselines that a network must beat: one mean shape and one mean colour for all views.
 
-Both look at training models alone. Surfaces are voxel indices [S, 3] of a grid of `size`^3.
+Both use training models alone. Surfaces are voxel indices [S, 3] of a grid of `size`^3.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""How sure a number is that was measured on some models: bootstrap intervals.
+"""Bootstrap intervals of numbers that were measured on some models.
 
-Tables are [N, V]: N models, V views of each. Views of one model are alike, so it is the models
-that are drawn again, each with all its views. Intervals hold 95 % of the redrawn numbers, from the
-2.5th to the 97.5th percentile. Randomness is fixed: the same table has the same intervals.
+Tables are [N, V]: N models, V views of each. Views of one model are alike, so models are resampled,
+each with all its views. An interval runs from the 2.5th to the 97.5th percentile of the resampled
+numbers. The random seed is fixed: the same table has the same intervals.
 """
 
 import warnings
@@ -18,7 +18,7 @@ _BATCH = 250  # resamples at a time: of a thousand models, 24 MB of indices and 
 
 
 class Estimate(NamedTuple):
-  """A number and its interval; NaN where there is nothing to tell it from."""
+  """A number and its interval; NaN without data."""
 
   value: float
   low: float

@@ -159,6 +159,7 @@ def evaluate(
   *,
   split: str = 'test',
   threshold: str | None = None,
+  measures: bool = False,
 ) -> dict[str, Any]:
   """Evaluates a method on held-out models, training what it needs.
 
@@ -169,6 +170,7 @@ def evaluate(
     seed: of the training.
     split: to evaluate on.
     threshold: 'paper' or 'val', instead of the plan's.
+    measures: whether looked-up models and pictures are evaluated as well, which takes longer.
 
   Returns:
     The report that experiments.evaluate writes.
@@ -182,6 +184,8 @@ def evaluate(
   if own.color:
     workdirs['color'] = train(plan, own.color, category, seed).workdir
   name = '_'.join([method, category, seed, *plan.sources, split, *(['val'] if chosen else [])])
+  more = {'retrieval': 'true', 'pictures': 'true'} if measures else {}
+  name += '_measures' * measures
   return runs.evaluate(
     plan.workdir,
     data=plan.data,
@@ -194,6 +198,7 @@ def evaluate(
     baselines='true',
     json=os.path.join(plan.workdir, 'scores', f'{name}.json'),
     **({'threshold': 'val'} if chosen else {}),
+    **more,
     **workdirs,
   )
 

@@ -80,7 +80,12 @@ class Result(NamedTuple):
 
 
 def evaluate(
-  plan: Plan, method: str, *, split: str = 'test', threshold: str | None = None
+  plan: Plan,
+  method: str,
+  *,
+  split: str = 'test',
+  threshold: str | None = None,
+  measures: bool = False,
 ) -> list[Result]:
   """A method's evaluations, one for each of its networks and seeds; makes what is missing.
 
@@ -89,12 +94,11 @@ def evaluate(
     method: a key of `protocol.METHODS`.
     split: of the models.
     threshold: 'paper' or 'val', instead of the plan's.
+    measures: as of `protocol.evaluate`.
   """
+  options = {'split': split, 'threshold': threshold, 'measures': measures}
   return [
-    Result(
-      judged,
-      protocol.evaluate(plan, method, trained_on, seed, split=split, threshold=threshold),
-    )
+    Result(judged, protocol.evaluate(plan, method, trained_on, seed, **options))
     for trained_on, judged in protocol.trained_for(plan, protocol.categories(plan))
     for seed in plan.seeds
   ]
@@ -106,7 +110,7 @@ def select(results: Iterable[Result], metric: str, *, who: str = 'networks') -> 
   Args:
     results: of `evaluate`.
     metric: a key of `scoring.METRICS`.
-    who: 'networks', or 'baselines' for the trivial baselines.
+    who: 'networks', 'baselines' for the trivial baselines, or one of memory.WAYS.
   """
   found: dict[str, list[dict[str, float]]] = {}
   for result in results:

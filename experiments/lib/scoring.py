@@ -1,5 +1,6 @@
 """The metrics of networks on a model of a data set; experiments.evaluate averages them."""
 
+import functools
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -8,10 +9,24 @@ import numpy as np
 
 from cvn import grid, infer, metrics
 from cvn.dataset import Dataset, Record, read_record
+from cvn.evaluation import pictures, surfaces
+from cvn.evaluation.pictures import Pictures
 from cvn.grid import ColoredVoxels
 from cvn.infer import Network
+from experiments.lib import memory as memories
+from experiments.lib.memory import Memory
 
-METRICS = {'iou': 'IoU', 'psnr_rgb': 'PSNR RGB', 'psnr_ycbcr': 'PSNR YCbCr'}
+# F-scores by their tolerance in sides of the cube; Chamfer distances in sides of the cube, too.
+F_SCORES = {f'f_{round(1 / t)}': f'F 1/{round(1 / t)}' for t in surfaces.TOLERANCES}
+METRICS = {
+  'iou': 'IoU',
+  'psnr_rgb': 'PSNR RGB',
+  'psnr_ycbcr': 'PSNR YCbCr',
+  **F_SCORES,
+  'chamfer': 'Chamfer',
+  'picture_psnr': 'picture PSNR',
+  'picture_ssim': 'picture SSIM',
+}
 
 # The true colours are rounded to 8 bits, a squared error of 1/12. A view with a smaller error (an
 # object of one colour, sampled) would otherwise outweigh all the others.
@@ -120,11 +135,13 @@ def score_model(
   shape: Network | None,
   color: Network | None,
   baseline: Baseline | None,
+  memory: Memory | None = None,
   *,
   alpha: float,
   threshold: float,
   flip: bool = False,
   carve: bool = False,
+  drawn: bool = False,
 ) -> dict[str, dict[str, list[float]]]:
   """The metrics of all views of a model.
 
@@ -134,13 +151,15 @@ def score_model(
     shape: None to evaluate colours on the true shape.
     color: None for no PSNR.
     baseline: of the model's category; None to leave it out.
+    memory: training models to look up, which needs `shape`; None to leave them out.
     alpha: of the blend.
     threshold: of occupancy.
     flip: whether to average with the mirrored views, see cvn.infer.
     carve: whether to carve shapes by the views' silhouettes, see cvn.carving.
+    drawn: whether pictures of the results are compared; needs both networks.
 
   Returns:
-    {'networks': {metric: [V]}, 'baselines': {metric: [V]}}.
+    {metric: [V]} of 'networks', 'baselines' and each of memory.WAYS.
   """
   record = read_record(dataset, row)
   size = dataset.manifest.grid_size
@@ -148,25 +167,86 @@ def score_model(
   options = {'flip': flip, 'carve': carve, 'azimuths': dataset.manifest.azimuths}
   options |= {'alpha': alpha, 'threshold': threshold}
   results = infer.split(infer.reconstruct(record.views, shape=shape, color=color, **options))
-  found = {'networks': {k: [] for k in METRICS}}
-  if baseline:
-    found['baselines'] = {k: [] for k in METRICS}
+  found: dict[str, dict[str, list[float]]] = {'networks': {k: [] for k in METRICS}}
+  as_drawn = pictures.draw_all(true, azimuths=dataset.manifest.azimuths) if drawn else None
+
   for result in results:
+    own = found['networks']
     occupied = true.occupancy
     if shape:
-      # As in the authors' program: > for the IoU, >= for colours.
+      # As in the authors' program: > for the IoU, >= for everything else.
       occupied = result.occupancy
-      iou = metrics.iou(result.probability > threshold, true.occupancy)
-      found['networks']['iou'].append(float(iou))
-      if baseline:
-        found['baselines']['iou'].append(float(metrics.iou(baseline.occupancy, true.occupancy)))
+      own['iou'].append(float(metrics.iou(result.probability > threshold, true.occupancy)))
+      append_distances(own, occupied, true)
     if color:
       partner = metrics.aligned_colors(occupied, true)
-      append_psnr(found['networks'], metrics.psnr(result.color[occupied], partner))
+      append_psnr(own, metrics.psnr(result.color[occupied], partner))
       if baseline:
+        trivial = found.setdefault('baselines', {k: [] for k in METRICS})
         constant = np.broadcast_to(baseline.color, partner.shape)
-        append_psnr(found['baselines'], metrics.psnr(constant, partner))
+        append_psnr(trivial, metrics.psnr(constant, partner))
+    if drawn:
+      append_pictures(own, ColoredVoxels(occupied, result.color), as_drawn)
+
+  if baseline and shape:
+    constant = ColoredVoxels(
+      baseline.occupancy, np.broadcast_to(baseline.color, (size,) * 3 + (3,))
+    )
+    repeat(found, 'baselines', score_voxels(constant, true, as_drawn, colors=False), len(results))
+  if memory:
+    score_row = functools.cache(
+      lambda n: score_voxels(
+        to_voxels(read_record(dataset, n), size), true, as_drawn, colors=color is not None
+      )
+    )
+    chosen = memories.look_up(memory, record.views, true.occupancy, shape)
+    for way, numbers in chosen.items():
+      for n in numbers:
+        repeat(found, way, score_row(int(n)), 1)
   return found
+
+
+def score_voxels(
+  predicted: ColoredVoxels, true: ColoredVoxels, as_drawn: Pictures | None, *, colors: bool
+) -> dict[str, list[float]]:
+  """The metrics of one coloured shape, one number each.
+
+  Args:
+    predicted: the shape.
+    true: likewise.
+    as_drawn: the true shape's pictures, if pictures are compared.
+    colors: whether there are PSNRs of surface colours.
+  """
+  found = {k: [] for k in METRICS}
+  found['iou'].append(float(metrics.iou(predicted.occupancy, true.occupancy)))
+  append_distances(found, predicted.occupancy, true)
+  if colors:
+    append_psnr(found, metrics.surface_psnr(predicted, true))
+  if as_drawn is not None:
+    append_pictures(found, predicted, as_drawn)
+  return found
+
+
+def repeat(found, who: str, values: dict[str, list[float]], times: int) -> None:
+  """Appends the same numbers for several views."""
+  own = found.setdefault(who, {k: [] for k in METRICS})
+  for metric, numbers in values.items():
+    own[metric] += numbers * times
+
+
+def append_distances(found, occupied: np.ndarray, true: ColoredVoxels) -> None:
+  """Appends a view's F-scores and Chamfer distance."""
+  distances = surfaces.measure(occupied, true.occupancy)
+  for name, value in zip(F_SCORES, surfaces.f_scores(distances), strict=True):
+    found[name].append(float(value))
+  found['chamfer'].append(surfaces.chamfer(distances))
+
+
+def append_pictures(found, predicted: ColoredVoxels, as_drawn: Pictures) -> None:
+  """Appends a view's PSNR and SSIM of pictures."""
+  likeness = pictures.compare(predicted, as_drawn)
+  found['picture_psnr'].append(likeness.psnr)
+  found['picture_ssim'].append(likeness.ssim)
 
 
 def append_psnr(found, psnr):

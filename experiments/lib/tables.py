@@ -12,10 +12,17 @@ from experiments.lib import markdown, protocol, results
 from experiments.lib.evaluation import ALPHAS
 from experiments.lib.markdown import NONE, detail, escape
 from experiments.lib.results import AVERAGE, Comparison, Line, Number, Table
+from experiments.lib.scoring import METRICS
 
 FEW = 5  # test models: with fewer, a mean says little
 # Blends with an alpha other than the paper's final choice; they are not ranked.
 VARIANTS = {protocol.METHODS[f'blended_{a:g}'].title for a in ALPHAS[1:]}
+# Of harder measures: the forms of numbers, those that are better if lower, those that are compared.
+MEASURES = dict.fromkeys(METRICS, '.3f') | dict.fromkeys(
+  ('psnr_rgb', 'psnr_ycbcr', 'picture_psnr'), '.2f'
+)
+LOWER = ('chamfer',)
+COMPARED = ('iou', 'f_100', 'chamfer', 'picture_ssim')
 FORMS = {'iou': '.3f', 'psnr_rgb': '.2f', 'psnr_ycbcr': '.2f'}  # of numbers, by metric
 
 
@@ -115,6 +122,30 @@ def ablation_table(parts: Mapping[str, Table], caption: str) -> str:
   return f'{text}\n\n{comparisons(compared, caption)}'
 
 
+def measures_table(parts: Mapping[str, Table], caption: str) -> str:
+  """A line for each method and a column for each metric; the best of a column is bold.
+
+  Args:
+    parts: tables by metric, with the models of all categories in one.
+    caption: above the table.
+  """
+  head, columns, compared = [''], [], []
+  for metric, table in parts.items():
+    numbers = [next(iter(line.categories.values())) for line in table.lines]
+    details = ['' if math.isnan(n.error) else f'± {n.error:{MEASURES[metric]}}' for n in numbers]
+    sign = -1 if metric in LOWER else 1
+    head.append(METRICS[metric])
+    columns.append(_cells([n.mean for n in numbers], MEASURES[metric], details, sign=sign))
+    rows = [(f'{METRICS[metric]} − {c.other}', c, MEASURES[metric]) for c in table.comparisons]
+    compared += rows if metric in COMPARED else []
+  titles = [escape(line.title) for line in next(iter(parts.values())).lines]
+  text = markdown.numbers(head, zip(titles, *columns, strict=True), caption=caption)
+  if not compared:
+    return text
+  caption = f'{compared[0][1].better}, compared model by model'
+  return f'{text}\n\n{comparisons(compared, caption)}'
+
+
 def estimate_cell(e: Estimate, form: str) -> str:
   """A number and its interval."""
   if math.isnan(e.value):
@@ -160,10 +191,12 @@ def _paper(values: Sequence[float], form: str):
   return [] if all(map(math.isnan, values)) else [('paper', _cells(values, form))]
 
 
-def _cells(values: Sequence[float], form: str, details: Sequence[str] = ()) -> list[str]:
-  """Numbers and their details; the highest, as it is printed, is bold."""
+def _cells(
+  values: Sequence[float], form: str, details: Sequence[str] = (), *, sign: int = 1
+) -> list[str]:
+  """Numbers and their details; the highest, as it is printed, is bold (the lowest for sign -1)."""
   texts = [NONE if math.isnan(x) else f'{x:{form}}' for x in values]
-  best = max((float(t) for t in texts if t != NONE), default=math.nan)
+  best = sign * max((sign * float(t) for t in texts if t != NONE), default=math.nan)
   bold = [f'**{t}**' if t != NONE and float(t) == best else t for t in texts]
   return [
     f'{t} {detail(d.strip())}'.rstrip()

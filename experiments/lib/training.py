@@ -254,6 +254,7 @@ def make_config(
     'data_digest': digest(dataset, rows),
     'models': len(models),
     'counts': dict(counts),
+    'categories': sorted({m.category for m in models}),
     **{name: getattr(s, name) for name in names},
     **describe_recipe(recipe),
   }

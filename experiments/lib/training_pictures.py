@@ -10,8 +10,8 @@ from cvn.readouts import COLOR_KINDS, SHAPE_KINDS
 
 def draw_views(network: Network, dataset: Dataset, pairs: np.ndarray) -> np.ndarray:
   """Views, their reconstructions and the truth, as one uint8 image [H, W, 3]."""
-  slots = data.surface_slots(dataset)
-  truth = [data.decode(data.read_color(dataset, *p, slots=slots)) for p in pairs]
+  slots = data.max_voxels(dataset)
+  truth = [data.decode(data.read_color(dataset, *p, max_voxels=slots)) for p in pairs]
   images = np.stack([t.image for t in truth])
   found = infer.reconstruct(
     images,

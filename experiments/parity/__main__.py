@@ -11,7 +11,8 @@ except for a bias in front of a batch normalisation: it has no effect, so its gr
 `blended` is the share of entries that are off by more than 1e-3, because the authors' nearest
 sampler jumps where rounding moves a flow across the edge of a pixel. Those jumps would change the
 colour network's gradient norms by up to 2 %, so its loss and gradients are computed on volumes with
-the authors' rounding (golden.one_by_one_line). Its outputs are compared without that correction.
+the authors' rounding (golden.one_by_one_line). Its outputs are compared without that correction,
+and so are the Adam steps of both networks: those of cvn.train.make_step, which users run.
 """
 
 import functools

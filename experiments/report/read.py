@@ -18,6 +18,7 @@ from cvn.errors import UserError
 from experiments.lib import differences, protocol, results
 from experiments.lib.results import Table
 from experiments.lib.runs import Run
+from experiments.lib.scoring import METRICS
 from experiments.lib.stages import damage, read_bytes, read_json, read_seconds
 from experiments.paper.people import summary
 
@@ -27,6 +28,7 @@ PARTS: Mapping[str, Sequence[str]] = {
   'psnr': ('psnr_rgb', 'psnr_ycbcr'),
   'ablation': ('val iou', 'test iou', 'val psnr_rgb', 'test psnr_rgb'),
   'structure': ('iou', 'psnr_rgb'),
+  'measures': tuple(METRICS),
 }
 SOURCES = {  # of models, in words
   'sweethome3d': 'models of Sweet Home 3D',

@@ -50,6 +50,7 @@ def make_report(workdirs: Sequence[Workdir], *, per_category: int, seed: int) ->
     'Table 1: shapes': _shapes(workdirs),
     'Tables 2 and 3: surface colours': _colours(workdirs),
     'Beyond the paper: the recipe best': _ablation(workdirs),
+    'Harder measures, and what memory alone reaches': _measures(workdirs),
     'One network or two': _structure(workdirs),
     'Articulated objects': _people(workdirs),
     'Pictures': _figures(workdirs),
@@ -149,6 +150,23 @@ def _ablation(workdirs) -> list[Block]:
     found.append(tables.ablation_table(table.parts, caption))
     found.append(plots.ablation(table.parts, f'ablation_{w.key}', title))
   return found or [missing('The ablation', PROGRAMS['ablation'])]
+
+
+def _measures(workdirs) -> list[Block]:
+  found = []
+  for w in (w for w in workdirs if 'measures' in w.tables):
+    table = w.tables['measures']
+    caption = 'Means over all models and views, ± one standard error over models'
+    found += [*heading(workdirs, w), *outdated(w, table.source)]
+    found.append(tables.measures_table(table.parts, caption))
+  if not found:
+    return [missing('Harder measures', PROGRAMS['measures'])]
+  explained = (
+    'Tolerances of F-scores and Chamfer distances are in sides of the cube; a voxel has 1/64.'
+    ' Pictures of results are compared from all azimuths. A looked-up training model is what a'
+    ' network could reach that only remembers; the one nearest to the truth bounds it.'
+  )
+  return [explained, *found]
 
 
 def _structure(workdirs) -> list[Block]:

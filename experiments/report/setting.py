@@ -25,7 +25,10 @@ from experiments.report.read import SOURCES, Source, Workdir, span
 
 # The program of each table or figure, by the name of its file.
 PROGRAMS = {
-  **{n: f'experiments.paper.{n}' for n in ('iou', 'psnr', 'ablation', 'structure', 'people')},
+  **{
+    n: f'experiments.paper.{n}'
+    for n in ('iou', 'psnr', 'ablation', 'measures', 'structure', 'people')
+  },
   **{
     n: f'experiments.paper.figures.{n}'
     for n in ('intermediate', 'random', 'nearest', 'flow', 'threshold')
