@@ -154,7 +154,8 @@ def enter(s: Settings, config: dict[str, Any]) -> Iterator[None]:
     return
   checkpoint.start(s.workdir, config)
   with files.exclusive(s.workdir):
-    sessions.write(s.workdir, s._asdict(), checkpoint.latest_step(s.workdir) or 0)
+    settings = s._replace(data=config['data'])._asdict()  # as a URL, which holds in any folder
+    sessions.write(s.workdir, settings, checkpoint.latest_step(s.workdir) or 0)
     parallel.wait_for_all()
     yield
 
