@@ -3,9 +3,10 @@
   conventions   grid (voxels), camera (views), errors, files
   mathematics   sampler, blending, losses, metrics, carving, boundary
   networks      networks, layers, surface (heads at surface voxels), ops (the layers' operations)
-  training      recipe, objectives, train, checkpoint
+  training      recipe, objectives, train, checkpoint, parallel (devices and processes)
   data          dataset (on disk), data (batches), augment
-  inference     infer (views to coloured voxels), readouts, photo (an image file to a view)
+  inference     infer (views to coloured voxels), readouts, photo (an image file to a view),
+                novelty (how far an image is from those of training)
   output        export (mesh files), figures (images)
   evaluation    baselines, intervals, complexity of colours
   processes     environment (memory and compilation cache)
@@ -37,8 +38,10 @@ __all__ = (
   'losses',
   'metrics',
   'networks',
+  'novelty',
   'objectives',
   'ops',
+  'parallel',
   'photo',
   'readouts',
   'recipe',

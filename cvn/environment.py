@@ -27,10 +27,32 @@ _SMALLEST_HEAP = 256 << 20  # bytes
 
 
 def prepare() -> None:
-  """Applies all settings to this process; call it before the first computation."""
+  """Applies all settings to this process; call it before the first computation.
+
+  A device that JAX_PLATFORMS asks for and that is not there ends the process, with one line.
+  """
   keep_memory()
+  check_platforms()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
+
+
+def check_platforms() -> None:
+  """Ends the process if the user asks for a platform without a device.
+
+  Raises:
+    SystemExit: with the one line to print.
+  """
+  asked = jax.config.jax_platforms
+  if not asked:
+    return
+  try:
+    jax.devices()
+  except Exception as e:  # RuntimeError or, for CUDA without a driver, an assertion of JAX's
+    why = ' '.join(str(e).split()) or 'no such device'
+    raise SystemExit(
+      f'error: JAX_PLATFORMS={asked} cannot be had here: unset it, or set it to cpu ({why})'
+    ) from e
 
 
 def keep_memory() -> bool:

@@ -99,15 +99,22 @@ def write_glb(path: str, voxels: grid.ColoredVoxels) -> None:
   _write(path, data)
 
 
-def write_ply(path: str, voxels: grid.ColoredVoxels) -> None:
+def write_ply(path: str, voxels: grid.ColoredVoxels, *, up: str = 'y') -> None:
   """Writes a binary PLY file with colours (uchar red, green, blue) on its vertices.
+
+  Args:
+    path: of the file.
+    voxels: occupancy [X, X, X] bool, color [X, X, X, 3] in [0, 1].
+    up: 'y', as everywhere here, or 'z', as Blender and CAD programs have it: the front then looks
+      towards -y.
 
   Raises:
     UserError: no voxel is occupied, or the place cannot be written.
   """
   mesh = surface_mesh(voxels)
+  x, y, z = mesh.vertices.T
   solid = trimesh.Trimesh(
-    mesh.vertices,
+    np.stack([x, -z, y] if up == 'z' else [x, y, z], -1),
     mesh.triangles,
     vertex_colors=mesh.colors[mesh.vertex_color],
     process=False,

@@ -59,9 +59,11 @@ class Measured(NamedTuple):
 def define_flags(f: flags.FlagValues) -> None:
   """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_integer('faces', 20000, 'Of the mesh, about.', lower_bound=8, **own)
-  flags.DEFINE_integer('texture', 1024, 'Pixels along its side.', lower_bound=1, **own)
-  flags.DEFINE_integer('models', 5, 'Timed, after one that is not.', lower_bound=1, **own)
+  flags.DEFINE_integer(
+    'faces', 20000, 'Approximate number of faces of the mesh.', lower_bound=8, **own
+  )
+  flags.DEFINE_integer('texture', 1024, 'Side of the texture, pixels.', lower_bound=1, **own)
+  flags.DEFINE_integer('models', 5, 'Number of timed models.', lower_bound=1, **own)
 
 
 def main(_) -> None:

@@ -51,80 +51,89 @@ DASK_JOBS = 4096  # in a scheduler's hands at a time
 def define_flags(f: flags.FlagValues) -> None:
   """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Where the meshes come from.', **own)
+  flags.DEFINE_enum('source', None, list(sources.SOURCES), 'Source of the meshes.', **own)
   flags.DEFINE_list(
     'category',
     None,
-    "One category, or several separated by commas; for --source=sweethome3d also 'NAME=PATTERN', a"
-    ' regular expression of names, without commas. Several categories of --source=meshes are the'
-    ' subfolders of these names.',
+    'One category, or several separated by commas. With --source=meshes, several categories are'
+    " subfolders of these names. With --source=sweethome3d, 'NAME=PATTERN' selects models by a"
+    ' regular expression (without commas) for their names.',
     **own,
   )
-  flags.DEFINE_string('input', None, 'The folder or file that --source reads.', **own)
-  flags.DEFINE_string('output', None, 'The folder or URL of the data set.', **own)
-  flags.DEFINE_boolean('append', False, 'Add the models to the data set that is there.', **own)
-  flags.DEFINE_integer('limit', None, 'The most models of each category.', lower_bound=1, **own)
-  flags.DEFINE_integer('seed', 0, 'Of sources that make models up.', lower_bound=0, **own)
+  flags.DEFINE_string('input', None, 'Folder or file that --source reads.', **own)
+  flags.DEFINE_string('output', None, 'Folder or URL of the data set.', **own)
+  flags.DEFINE_boolean('append', False, 'Add the models to an existing data set.', **own)
+  flags.DEFINE_integer('limit', None, 'Maximum models of each category.', lower_bound=1, **own)
+  flags.DEFINE_integer('seed', 0, 'Random seed for generated models.', lower_bound=0, **own)
   flags.DEFINE_string(
     'splits',
     None,
-    'A folder of {train,val,test}_list_<category>.txt, lists of ids: the models that they name are'
-    ' made, and no others. Without it the source decides the split, or a hash of the id.',
+    'Folder of {train,val,test}_list_<category>.txt, lists of ids. Only models in these lists are'
+    ' made. By default the source decides the split, or a hash of the id.',
     **own,
   )
   flags.DEFINE_enum(
     'split',
     None,
     dataset_lib.SPLITS,
-    'The split of all models.',
+    'Split for all models.',
     **own,
   )
-  flags.DEFINE_enum('up', 'y', list(UPS), 'The axis of the files that points up.', **own)
+  flags.DEFINE_enum('up', 'y', list(UPS), 'Axis that points up in the files.', **own)
   flags.DEFINE_float(
     'turn',
     0.0,
-    'Degrees by which models are turned, anticlockwise seen from above, so that they face +z: 180'
-    ' for those that face -z, -90 for those that face +x.',
+    'Degrees to turn the models anticlockwise, seen from above, so that they face +z: 180 if they'
+    ' face -z, -90 if they face +x.',
     **own,
   )
   flags.DEFINE_string(
     'table',
     None,
-    f'A CSV file with a column id and any of {", ".join(COLUMNS)}: what it says of a model goes'
-    f' before the flags. Without it, {TABLE} in the input folder, if it is there.',
+    f'CSV file with a column id and any of {", ".join(COLUMNS)}, which override the flags for'
+    f' single models. The default is {TABLE} in the input folder, if it exists.',
     **own,
   )
-  flags.DEFINE_string('licence', None, 'Of models whose source states none.', **own)
-  flags.DEFINE_string('creator', None, 'Of models whose source states none.', **own)
-  flags.DEFINE_enum('shading', 'flat', SHADINGS, 'Albedo as it is, or under soft light.', **own)
+  flags.DEFINE_string('licence', None, 'Licence of models whose source states none.', **own)
+  flags.DEFINE_string('creator', None, 'Creator of models whose source states none.', **own)
+  flags.DEFINE_enum(
+    'shading',
+    'flat',
+    SHADINGS,
+    'Views show the albedo alone (flat) or under soft light (lit).',
+    **own,
+  )
   flags.DEFINE_float(
     'tolerance',
     TOLERANCE,
-    'Voxels: a voxel this close to the surface that a view shows there is visible in it.',
+    'Maximum distance, in voxels, of a visible voxel from the surface that the view shows there.',
     lower_bound=0.1,
     **own,
   )
   flags.DEFINE_float(
     'similarity',
     SIMILARITY,
-    "RGB distance of colours in [0, 1] up to which a pixel may stand for a hidden voxel's.",
+    'Maximum RGB distance, for colours in [0, 1], of a pixel that provides the colour of a hidden'
+    ' voxel.',
     lower_bound=0.0,
     **own,
   )
-  flags.DEFINE_integer('workers', os.cpu_count(), 'Processes, one core each.', lower_bound=1, **own)
-  flags.DEFINE_string('scheduler', None, 'A Dask scheduler whose workers do the work.', **own)
+  flags.DEFINE_integer(
+    'workers', os.cpu_count(), 'Number of processes, one core each.', lower_bound=1, **own
+  )
+  flags.DEFINE_string('scheduler', None, 'Dask scheduler; its workers do the work.', **own)
   flags.DEFINE_float(
     'timeout',
     TIMEOUT,
-    'Seconds of processor time after which a model is given up.',
+    'Maximum processor time for a model, seconds; beyond it the model is skipped.',
     lower_bound=0.1,
     **own,
   )
   flags.DEFINE_float(
     'memory_limit',
     MEMORY_LIMIT,
-    'GiB that a local worker may have; a model that needs more is given up. Dask workers have a'
-    ' --memory-limit of their own.',
+    'Maximum memory of a local worker, GiB; a model that needs more is skipped. Dask workers have'
+    ' their own --memory-limit.',
     lower_bound=0.5,
     **own,
   )
@@ -158,7 +167,9 @@ def run(f: flags.FlagValues) -> None:
   )
   turned = any(m.up != 'y' or m.turn for m in found)
   if turned and hasattr(sources.source(f.source), 'read_record'):
-    raise UserError(f'--source={f.source} holds records, which cannot be turned by --up or --turn')
+    raise UserError(
+      f'--up and --turn do not apply to --source={f.source}: it holds records, not meshes'
+    )
   planned = plan(found, f.source, input_dir=f.input)
   with contextlib.ExitStack() as stack:
     memory, in_hand = int(f.memory_limit * 2**30), None
@@ -188,7 +199,7 @@ def run(f: flags.FlagValues) -> None:
   done = dataset_lib.surface_counts(dataset) > 0
   if not done.any():
     model_id, reason = next(iter(failures.items()))
-    raise UserError(f'not one of {len(planned)} models could be made; {model_id}: {reason}')
+    raise UserError(f'none of {len(planned)} models could be made; {model_id}: {reason}')
   made = [o.row for o in outcomes if not o.reason]
   sheet = contact_sheet(dataset, rows_to_show(dataset, done, made, SHEET_MODELS))
   write_png(dataset, 'contact_sheet.png', sheet)
@@ -242,7 +253,7 @@ def summary(
   ]
   rated = [o.stats for o in made if o.stats is not None]
   if made:
-    lines.append(f'{np.mean([o.seconds for o in made]):.2f} s a model and worker')
+    lines.append(f'{np.mean([o.seconds for o in made]):.2f} s for a model in one worker')
   if rated:
     lines += _flow_lines(FlowStats(*np.mean(rated, axis=0)))
   lines += _note_lines([o.facts for o in made if o.facts is not None])
@@ -257,23 +268,23 @@ def summary(
 def _note_lines(facts: Sequence[Facts]) -> list[str]:
   """How many models have files that readers missed, ignored or guessed."""
   lacking = sum(f.missing > 0 for f in facts)
-  lines = [f'{lacking} models name files or materials that are not there'] if lacking else []
+  lines = [f'{lacking} models name files or materials that do not exist'] if lacking else []
   counts = Counter(note for f in facts for note in from_bits(f.notes))
   lines += [f'{count} models: {note}' for note, count in counts.most_common()]
-  return [*lines, 'which models they are: datagen.inspect'] if lines else []
+  return [*lines, 'datagen.inspect lists these models'] if lines else []
 
 
 def _flow_lines(s: FlowStats) -> list[str]:
   if not s.visible:  # records that were made elsewhere
     return [
-      f'no voxel is marked as visible; the flow of {s.matched:.1%} fetches a similar colour',
-      f'colour where the flow points: off by {s.error:.3f} for all',
+      f'no voxel is marked as visible; {s.matched:.1%} of the flows fetch a similar colour',
+      f'mean colour error of the flows: {s.error:.3f}',
     ]
   return [
-    f'voxels of a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
-    f' {s.fallback:.1%} hidden with no similar colour in view',
-    f'colour where the flow points: off by {s.visible_error:.3f} for visible voxels'
-    f' ({s.visible_faithful:.1%} of them by less than 0.1), by {s.error:.3f} for all',
+    f'voxels in a view: {s.visible:.1%} visible, {s.matched:.1%} hidden and matched by colour,'
+    f' {s.fallback:.1%} hidden without a similar colour in the view',
+    f'mean colour error of the flows: {s.visible_error:.3f} for visible voxels'
+    f' ({s.visible_faithful:.1%} of them below 0.1), {s.error:.3f} for all',
   ]
 
 

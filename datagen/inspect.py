@@ -31,12 +31,12 @@ SHEET_MODELS = 12
 def define_flags(f: flags.FlagValues) -> None:
   """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The folder or URL of the data set.', **own)
-  flags.DEFINE_string('id', None, 'Only this model.', **own)
+  flags.DEFINE_string('data', None, 'Folder or URL of the data set.', **own)
+  flags.DEFINE_string('id', None, 'Id of a model, to describe it alone.', **own)
   flags.DEFINE_string(
     'sheet',
     'inspect.png',
-    'The contact sheet: suspicious models first, then others; nothing is drawn where it is empty.',
+    'File for a contact sheet, suspicious models first; empty for none.',
     **own,
   )
   flags.mark_flag_as_required('data', f)
@@ -56,7 +56,7 @@ def run(f: flags.FlagValues) -> None:
     if not rows:
       raise UserError(f'{f.data} has no model {f.id}')
   if not len(rows):
-    raise UserError(f'{f.data} holds no finished model (make them: datagen.generate)')
+    raise UserError(f'{f.data} holds no finished model: make them with datagen.generate')
   examined = [examine(read_record(dataset, row)) for row in tqdm(rows, unit='model', disable=None)]
   found = suspicions(examined, [models[row].category for row in rows])
   if f.id is not None:
@@ -75,7 +75,7 @@ def describe(model: Model, examined: Examined, reasons: Sequence[str]) -> str:
   lines = [f'{k:10} {v}' for k, v in model._asdict().items() if v]
   lines += [
     f'{"voxels":10} {examined.voxels}',
-    f'{"visible":10} {examined.visible:.1%} of the voxels of a view',
+    f'{"visible":10} {examined.visible:.1%} of the voxels in a view',
     f'{"colour":10} {_quality([examined])}',
     f'{"volume":10} {examined.volume:.3f} of its bounding box, signed',
   ]
@@ -108,16 +108,16 @@ def overview(
     split = Counter(models[i].split for i in mine)
     line = f'{category:16}{planned[category]:9}{len(mine):9}'
     line += ''.join(f'{split[s]:9}' for s in SPLITS)
-    told = [examined[i] for i in mine if examined[i].visible]  # records that were read do not tell
+    told = [examined[i] for i in mine if examined[i].visible]  # the authors' records do not say
     if told:
       mean = np.mean(told, axis=0)
       line += f'{mean[1]:9.1%}{mean[3]:9.1%}{mean[2]:9.3f}'
     lines.append(line)
   lines.append(
-    f'(visible: of the voxels of a view; within: of these, colour within {FIDELITY} of what the'
-    ' flow fetches; error: mean)'
+    f'(visible: share of the voxels in a view; within: share of these with a colour error up to'
+    f' {FIDELITY} where the flow points; error: mean colour error)'
   )
-  lines += ['', f'colours of all: {_quality(examined)}']
+  lines += ['', f'colours of all models: {_quality(examined)}']
   lines += ['', 'licence']
   licences = Counter(m.licence or 'not stated' for m in models)
   lines += [f'{count:9}  {licence}' for licence, count in licences.most_common()]
@@ -151,11 +151,11 @@ def _quality(examined: Sequence[Examined]) -> str:
   error = np.mean([e.error for e in examined])
   told = [e for e in examined if e.visible]
   if not told:
-    return f'where the flow points, off by {error:.3f} for all; none is marked as visible'
+    return f'mean error of the flows {error:.3f} for all voxels; none is marked as visible'
   mean = Examined(*np.mean(told, axis=0))
   return (
-    f'where the flow points, off by {mean.visible_error:.3f} for visible voxels'
-    f' ({mean.visible_faithful:.1%} within {FIDELITY}), by {error:.3f} for all'
+    f'mean error of the flows {mean.visible_error:.3f} for visible voxels'
+    f' ({mean.visible_faithful:.1%} within {FIDELITY}), {error:.3f} for all'
   )
 
 

@@ -89,7 +89,7 @@ def make_record(
   flat, depths, seen = render(mesh, cameras, image_size=s.image_size)
   for azimuth, depth in zip(s.azimuths, depths, strict=True):
     if not np.isfinite(depth).any():
-      raise UserError(f'nothing is to be seen of the mesh at azimuth {azimuth}: too thin')
+      raise UserError(f'the mesh is too thin to be seen from azimuth {azimuth}')
   voxels = voxelize(mesh, s.grid_size, seen)
   flow, visible, stats = target_flows(
     voxels.point,
@@ -121,6 +121,7 @@ def run_job(job: Job) -> Outcome:
     arrays = dataset_lib.open_arrays(job.root)
     try:
       record, made = call_within(job.timeout, _make, job)
+      dataset_lib.check_size(arrays, record)
     except UserError as e:
       reason = str(e)
     else:
@@ -202,7 +203,7 @@ def run_jobs(
             raise
           except CancelledError as e:
             raise UserError(
-              'the scheduler has cancelled the work or is gone; the same command goes on with it'
+              'the scheduler cancelled the work or is gone; repeat the command to continue'
             ) from e
           except Exception as e:
             yield Outcome(job.row, 0.0, None, f'its worker was lost: {" ".join(str(e).split())}')

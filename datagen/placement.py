@@ -61,7 +61,7 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
   unknown = [name for name in names if name not in ('id', *COLUMNS)]
   if 'id' not in names or unknown:
     raise UserError(
-      f'{path}: its first line must name the column id and any of {", ".join(COLUMNS)}'
+      f'{path}: the first line must name the column id and any of {", ".join(COLUMNS)}'
       + (f', not {unknown[0]!r}' if unknown else '')
     )
   rows.fieldnames = names
@@ -72,7 +72,7 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
     if not model_id and not said:
       continue
     if not model_id or model_id in table:
-      what = f'{model_id} is there twice' if model_id else 'there is no id'
+      what = f'{model_id} appears twice' if model_id else 'the id is missing'
       raise UserError(f'{path}, line {rows.line_num}: {what}')
     _check(said, f'{path}, line {rows.line_num}')
     table[model_id] = said
@@ -81,15 +81,15 @@ def read_table(path: str) -> dict[str, dict[str, str]]:
 
 def _check(said, where):
   if said.get('up', 'y') not in UPS:
-    raise UserError(f'{where}: up is {said["up"]!r}, none of {", ".join(UPS)}')
+    raise UserError(f'{where}: up is {said["up"]!r}, but must be one of {", ".join(UPS)}')
   if said.get('split', 'train') not in SPLITS:
-    raise UserError(f'{where}: split is {said["split"]!r}, none of {", ".join(SPLITS)}')
+    raise UserError(f'{where}: split is {said["split"]!r}, but must be one of {", ".join(SPLITS)}')
   try:
     turn = float(said.get('turn', 0))
   except ValueError:
     turn = np.nan
   if not np.isfinite(turn):
-    raise UserError(f'{where}: turn is {said["turn"]!r}, no number of degrees')
+    raise UserError(f'{where}: turn is {said["turn"]!r}, but must be a number of degrees')
 
 
 def with_metadata(
@@ -123,7 +123,9 @@ def with_metadata(
   said = read_table(table) if table is not None else {}
   unknown = sorted(said.keys() - {m.id for m in models})
   if said and len(unknown) == len(said):
-    raise UserError(f'{table} names none of the models: {unknown[0]} is not one, {models[0].id} is')
+    raise UserError(
+      f'{table} names none of the models: it has {unknown[0]}, the folder has {models[0].id}'
+    )
   return [
     m._replace(
       up=said.get(m.id, {}).get('up', up),

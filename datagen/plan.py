@@ -29,12 +29,14 @@ def list_models(
   if not wanted:
     raise UserError('--category names no category')
   if len(set(wanted)) < len(wanted):
-    raise UserError(f'--category names one twice: {",".join(wanted)}')
+    raise UserError(f'--category repeats a category: {",".join(wanted)}')
   listing = sources.source(source).list_models
   if source == 'meshes':
     for name in wanted:
       if not re.fullmatch(r'\w[\w .-]*', name):
-        raise UserError(f'--category={name} is no name: --source=meshes knows no patterns')
+        raise UserError(
+          f'--category={name} is not a name, and --source=meshes does not support patterns'
+        )
     if len(wanted) > 1:
       listing = mesh_folder.list_folders
   models = [m for c in wanted for m in listing(c, input_dir, limit, seed)]
@@ -42,7 +44,7 @@ def list_models(
     raise UserError(f'{input_dir or source} has no model of category {",".join(wanted)}')
   model_id, count = Counter(m.id for m in models).most_common(1)[0]
   if count > 1:
-    raise UserError(f'{count} models have the id {model_id}: make one category a data set')
+    raise UserError(f'{count} models have the id {model_id}: use one data set for each category')
   return models
 
 
@@ -65,11 +67,11 @@ def keep_listed(
   lists = {c: read_splits(folder, c) for c in dict.fromkeys(m.category for m in models)}
   listed = [m._replace(split=lists[m.category][m.id]) for m in models if m.id in lists[m.category]]
   if not listed:
-    raise UserError(f'no list in {folder} names {models[0].id} or another of the models')
+    raise UserError(f'the lists in {folder} name none of the models, such as {models[0].id}')
   absent = sum(map(len, lists.values())) - len(listed)
   note = (
-    f'{folder}: {len(listed)} models listed and there, {absent} listed but not there,'
-    f' {len(models) - len(listed)} there but not listed (left out)'
+    f'{folder}: {len(listed)} models listed and found, {absent} listed but not found,'
+    f' {len(models) - len(listed)} found but not listed (left out)'
   )
   by_category = itertools.groupby(listed, key=lambda m: m.category)
   return [m for _, group in by_category for m in itertools.islice(group, limit)], note

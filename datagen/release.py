@@ -48,9 +48,7 @@ def h5py() -> ModuleType:
   try:
     import h5py
   except ImportError as e:
-    raise UserError(
-      "the authors' released folders need the package h5py: pip install -e '.[release]'"
-    ) from e
+    raise UserError("the authors' released folders need h5py: pip install 'cvn[release]'") from e
   return h5py
 
 
@@ -177,7 +175,7 @@ def read_view(content: bytes, name: str, size: int) -> np.ndarray:
     raise UserError(f'{name} has {width} x {height} pixels, not {size} x {size}')
   foreground = (rgb != rgb[0, 0, 0]).any(-1)
   if not foreground.any():
-    raise UserError(f'{name} shows nothing but its ground')
+    raise UserError(f'{name} shows only its background')
   return np.concatenate([rgb, np.uint8(255) * foreground[..., None]], -1)
 
 
@@ -222,6 +220,6 @@ def claim(folder: str, name: str, content: dict[str, Any]) -> None:
     raise UserError(f'cannot read {path}: {getattr(e, "strerror", None) or e}') from e
   if before != text:
     raise UserError(
-      f'{folder} holds what was written from something else (see {name} in it): choose another'
-      ' --output, or delete it'
+      f'{folder} was written from something else (see {name} there): choose another --output, or'
+      ' delete it'
     )

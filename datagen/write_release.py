@@ -31,10 +31,10 @@ from datagen import release
 def define_flags(f: flags.FlagValues) -> None:
   """Defines the program's flags. Not at import: the flags of several programs share names."""
   own = {'flag_values': f}
-  flags.DEFINE_string('data', None, 'The folder or URL of the data set.', **own)
-  flags.DEFINE_string('output', None, 'The folder that is written.', **own)
-  flags.DEFINE_enum('split', None, SPLITS, 'The models to write; all of them by default.', **own)
-  flags.DEFINE_list('category', [], 'Categories to write; all of them by default.', **own)
+  flags.DEFINE_string('data', None, 'Folder or URL of the data set.', **own)
+  flags.DEFINE_string('output', None, 'Folder to write.', **own)
+  flags.DEFINE_enum('split', None, SPLITS, 'Split to write; all by default.', **own)
+  flags.DEFINE_list('category', [], 'Categories to write; all by default.', **own)
   flags.mark_flags_as_required(['data', 'output'], f)
 
 

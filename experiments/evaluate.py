@@ -2,7 +2,8 @@ r"""Metrics of trained networks on a split of a data set.
 
 python -m experiments.evaluate --data=DIR --shape=WORKDIR --color=WORKDIR [--split=test]
   [--category=NAME,...] [--source=NAME,...] [--alpha=NUMBER|val] [--threshold=NUMBER|val] [--flip]
-  [--carve] [--baselines] [--retrieval] [--pictures] [--json=FILE]
+  [--carve] [--baselines] [--retrieval] [--pictures] [--reference_data=DIR]
+  [--reference_source=NAME,...] [--json=FILE]
 
 Shapes come from a network of kind shape, joint or r2n2, colours from one of kind color, regression,
 flow, joint or r2n2.
@@ -23,11 +24,15 @@ category, and its mean surface colour on the same voxels as the networks' colour
 what a network could reach that only remembers: the training model with the view whose outline, or
 whose code in the shape network, is most similar, and, as a bound, the training model that is
 nearest to the truth. A looked-up model is evaluated with its own shape and colours.
+
+The splits val and train that thresholds, alpha, baselines and retrieval use are those of --data or,
+for a data set that has only a test split, of --reference_data.
 """
 
 import contextlib
 import functools
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -90,11 +95,12 @@ def evaluate(s: Settings) -> dict[str, Any]:
       "--carve assumes this project's camera; the camera of the authors' released views is unknown,"
       ' so shapes may lose voxels that they should keep'
     )
-  means = find_baselines(dataset, rows) if s.baselines else {}
-  memory = find_memory(s, dataset, shape) if s.retrieval else None
+  reference = open_reference(s, dataset)
+  means = find_baselines(reference, {models[row].category for row in rows}) if s.baselines else {}
+  memory = find_memory(s, reference, shape) if s.retrieval else None
   options = {'flip': s.flip, 'carve': s.carve, 'drawn': s.pictures}
-  threshold = find_threshold(s, dataset, shape, color)
-  alpha = find_alpha(s, dataset, shape, color, threshold)
+  threshold = find_threshold(s, reference, shape, color)
+  alpha = find_alpha(s, reference, shape, color, threshold)
   options |= {'alpha': alpha, 'threshold': threshold}
   found = [
     scoring.score_model(
@@ -107,6 +113,24 @@ def evaluate(s: Settings) -> dict[str, Any]:
     **{'options': make_options(s, dataset), 'alpha': alpha, 'threshold': threshold},
     **summarize(dataset, rows, found),
   }
+
+
+def open_reference(s: Settings, dataset: Dataset) -> Dataset:
+  """The data set that thresholds, alpha, baselines and retrieval use.
+
+  Raises:
+    UserError: it cannot be read, or it has other sizes.
+  """
+  if not s.reference_data:
+    return dataset
+  reference = open_dataset(s.reference_data)
+  sizes = [(d.manifest.image_size, d.manifest.grid_size) for d in (dataset, reference)]
+  if sizes[0] != sizes[1]:
+    raise UserError(
+      f'{s.reference_data} has {sizes[1][0]}-pixel views and a grid of {sizes[1][1]}, {s.data}'
+      f' {sizes[0][0]} and {sizes[0][1]}: --reference_data must be of the same sizes'
+    )
+  return reference
 
 
 def find_threshold(
@@ -150,30 +174,38 @@ def find_alpha(
 
 
 def _validation_rows(s, dataset, name):
-  rows = data.select_rows(dataset, 'val', categories=s.category, sources=s.source)
+  sources = s.reference_source or (() if s.reference_data else s.source)
+  rows = data.select_rows(dataset, 'val', categories=s.category, sources=sources)
   if len(rows) == 0:
-    raise UserError(f'{s.data} has no finished model in the split val: give a --{name}')
+    raise UserError(
+      f'{dataset.root} has no finished model in the split val: give a --{name}, or another data set'
+      ' as --reference_data'
+    )
   return rows
 
 
-def find_baselines(dataset: Dataset, rows) -> dict[str, Baseline]:
-  """The baselines of the rows' categories.
+def find_baselines(dataset: Dataset, categories: Iterable[str]) -> dict[str, Baseline]:
+  """The baselines of some categories, from the data set's split train.
 
   Raises:
     UserError: a category has no training model.
   """
   models = dataset.manifest.models
-  wanted = sorted({models[row].category for row in rows})
+  wanted = sorted(categories)
+  known = [c for c in wanted if any(m.category == c for m in models)] or wanted
   surfaces, colors = {c: [] for c in wanted}, {c: [] for c in wanted}
   for row in tqdm(
-    data.select_rows(dataset, 'train', categories=wanted), desc='baselines', disable=None
+    data.select_rows(dataset, 'train', categories=known), desc='baselines', disable=None
   ):
     record = read_record(dataset, row)
     surfaces[models[row].category].append(record.surface_index)
     colors[models[row].category].append(record.surface_color / 255)
   for c in wanted:
     if not surfaces[c]:
-      raise UserError(f'{dataset.root} has no finished {c} in the split train: no --baselines')
+      raise UserError(
+        f'{dataset.root} has no finished {c} in the split train: give another data set as'
+        ' --reference_data, or no --baselines'
+      )
   size = dataset.manifest.grid_size
   return {
     c: Baseline(baselines.mean_shape(surfaces[c], size), baselines.mean_color(colors[c]))

@@ -1,7 +1,11 @@
-r"""Images -> coloured voxel meshes: a GLB, a PLY and a panel PNG for each.
+r"""Images -> coloured voxel meshes: a GLB, a PLY, a panel PNG and the object's mask for each.
 
-python -m experiments.reconstruct --image=FILE[,FILE...] --shape=WORKDIR --color=WORKDIR \
-  --output=DIR [--alpha=0.2] [--threshold=0.8] [--flip] [--carve]
+python -m experiments.reconstruct --image=FILE|FOLDER[,...] --shape=WORKDIR --color=WORKDIR \
+  --output=DIR [--mask=FILE[,...]] [--[no]framed] [--up=z] [--alpha=0.2] [--threshold=0.8] [--flip]
+  [--carve]
+
+NAME_mask.png shows which part of the image was taken as the object; cvn/photo/masks.py says how it
+is found, and --mask gives a better one. Doubts are printed as warnings.
 
 An image that fails is reported on stderr and the others are still reconstructed; the exit status is
 then 1.
@@ -10,7 +14,7 @@ then 1.
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -19,18 +23,35 @@ from absl import flags
 from PIL import Image
 from tqdm import tqdm
 
-from cvn import blending, export, figures, infer, metrics, photo
+from cvn import blending, checkpoint, export, figures, infer, metrics, photo
 from cvn.errors import UserError
 from cvn.files import atomic_write
 from cvn.infer import Network
-from experiments.lib import cli
+from experiments.lib import cli, photos
 
 
 def define_flags(f: flags.FlagValues) -> None:
   own = {'flag_values': f}
   flags.DEFINE_multi_string(
-    'image', None, 'Image files separated by commas; the flag may be repeated.', **own
+    'image',
+    None,
+    'Image files or folders of them, separated by commas; the flag may be repeated.',
+    **own,
   )
+  flags.DEFINE_multi_string(
+    'mask',
+    [],
+    'Masks in the order of the images: images of the same size, white (or opaque) on the object.',
+    **own,
+  )
+  flags.DEFINE_bool(
+    'framed',
+    None,
+    "Whether images are framed like a data set's views and stay as they are; by default, only those"
+    ' that look so.',
+    **own,
+  )
+  flags.DEFINE_enum('up', 'y', ['y', 'z'], 'The axis that points up in PLY files.', **own)
   flags.DEFINE_string('shape', None, 'Workdir of the shape network.', **own)
   flags.DEFINE_string('color', None, 'Workdir of the colour network.', **own)
   flags.DEFINE_string('output', None, 'Folder for the results.', **own)
@@ -58,72 +79,69 @@ def define_flags(f: flags.FlagValues) -> None:
 
 @cli.program(define_flags)
 def main(f: flags.FlagValues) -> int:
-  options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve')}
-  return reconstruct_all(split_names(f.image), f.shape, f.color, f.output, **options)
+  options = {k: f[k].value for k in ('alpha', 'threshold', 'flip', 'carve', 'up')}
+  paths = photos.expand_folders(photos.split_names(f.image))
+  masks = photos.assign_masks(paths, photos.split_names(f.mask))
+  return reconstruct_all(masks, f.shape, f.color, f.output, framed=f.framed, **options)
 
 
 def reconstruct_all(
-  paths: Sequence[str], shape_workdir: str, color_workdir: str, output: str, **options: Any
+  masks: Mapping[str, str | None],
+  shape_workdir: str,
+  color_workdir: str,
+  output: str,
+  *,
+  framed: bool | None,
+  **options: Any,
 ) -> int:
   """Reconstructs pictures; returns the exit status, 1 if one of them failed.
 
   Args:
-    paths: of the pictures.
+    masks: the pictures, and a file with the mask of each or None.
     shape_workdir: the run of the shape network.
     color_workdir: the run of the colour network.
     output: the folder of the results.
-    **options: of `reconstruct_file`.
+    framed: see `photo.load_photo`.
+    **options: of `reconstruct_view`.
 
   Raises:
     UserError: no picture can be reconstructed.
   """
-  if not paths:
+  if not masks:
     raise UserError('--image names no file')
-  stems = {p: os.path.join(output, name) for p, name in output_names(paths).items()}
-  taken = {os.path.realpath(f'{stem}.png') for stem in stems.values()}
-  for path in paths:
+  stems = {p: os.path.join(output, name) for p, name in photos.output_names([*masks]).items()}
+  taken = {os.path.realpath(f'{s}{end}.png') for s in stems.values() for end in ('', '_mask')}
+  for path in (*masks, *filter(None, masks.values())):
     if os.path.realpath(path) in taken:
       raise UserError(f'the results would overwrite {path}: give another folder as --output')
   shape, color = infer.load(shape_workdir, 'shape'), infer.load(color_workdir, 'color')
+  known = photos.known_categories(*map(checkpoint.read_config, (shape_workdir, color_workdir)))
+  if known:
+    print(f'the networks know {", ".join(known)}, and nothing else')
   failures = 0
-  for path in tqdm(paths, unit='picture', disable=None):
+  for path in tqdm(masks, unit='picture', disable=None):
     start = time.perf_counter()
     try:
-      count = reconstruct_file(path, stems[path], shape, color, **options)
+      picture = photo.load_photo(path, mask=masks[path], framed=framed)
+      unusual = photos.how_unusual(path, picture.view, shape)
+      for warning in (*picture.warnings, *unusual):
+        tqdm.write(f'warning: {warning}', sys.stderr)
+      count = reconstruct_view(picture.view, stems[path], shape, color, **options)
+      photos.write_mask(f'{stems[path]}_mask.png', picture)
     except UserError as e:
       failures += 1
       tqdm.write(f'error: {path}: {str(e).removeprefix(path).lstrip(": ")}', sys.stderr)
       continue
     seconds = time.perf_counter() - start
-    tqdm.write(f'{path} -> {stems[path]}.glb .ply .png  ({count} voxels, {seconds:.1f} s)')
+    how = f'object by {picture.source}, {count} voxels, {seconds:.1f} s'
+    tqdm.write(f'{path} -> {stems[path]}.glb .ply .png _mask.png  ({how})')
   if failures:
-    tqdm.write(f'error: {failures} of {len(paths)} pictures failed', sys.stderr)
+    tqdm.write(f'error: {failures} of {len(masks)} pictures failed', sys.stderr)
   return int(failures > 0)
 
 
-def split_names(values: Sequence[str]) -> list[str]:
-  """Names separated by commas, without duplicates; the name of an existing file may have commas."""
-  names = []
-  for value in values:
-    names += [value] if os.path.exists(value) else [v.strip() for v in value.split(',')]
-  return list(dict.fromkeys(n for n in names if n))
-
-
-def output_names(paths: Sequence[str]) -> dict[str, str]:
-  """A name for the results of each image: its own, with a number if it is taken."""
-  names = {}
-  for path in paths:
-    stem = os.path.splitext(os.path.basename(path))[0]
-    name, number = stem, 1
-    while name in names.values():
-      number += 1
-      name = f'{stem}_{number}'
-    names[path] = name
-  return names
-
-
-def reconstruct_file(
-  path: str,
+def reconstruct_view(
+  view: np.ndarray,
   stem: str,
   shape: Network,
   color: Network,
@@ -132,9 +150,9 @@ def reconstruct_file(
   threshold: float,
   flip: bool,
   carve: bool,
+  up: str,
 ) -> int:
-  """One picture -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
-  view = photo.load_view(path)
+  """One view -> stem.glb, stem.ply and stem.png; returns the number of occupied voxels."""
   options = {'alpha': alpha, 'threshold': threshold, 'flip': flip, 'carve': carve}
   found = jax.device_get(infer.reconstruct(view, shape=shape, color=color, **options))
   voxels = infer.to_voxels(found)
@@ -145,7 +163,7 @@ def reconstruct_file(
       f' {found.probability.max():.3g}: lower the threshold, or train the shape network longer'
     )
   export.write_glb(f'{stem}.glb', voxels)
-  export.write_ply(f'{stem}.ply', voxels)
+  export.write_ply(f'{stem}.ply', voxels, up=up)
   with atomic_write(f'{stem}.png') as temporary:
     Image.fromarray(figures.reconstruction_panel(view, found)).save(temporary)
   return count

@@ -66,7 +66,7 @@ class Builder:
 
 
 def nothing(name):
-  raise UserError(f'{name} is not there')
+  raise UserError(f'{name} does not exist')
 
 
 def read(content, get_picture=lambda uri: None):

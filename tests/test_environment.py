@@ -91,3 +91,17 @@ def test_default_folder_follows_the_users_setting(tmp_path, monkeypatch, cache_f
   jax.config.update('jax_compilation_cache_dir', 'chosen')
   environment.prepare()
   assert jax.config.jax_compilation_cache_dir == 'chosen'
+
+
+@pytest.mark.parametrize('platform', ['cuda', 'nonsense'])
+def test_a_platform_without_a_device_is_one_line(platform):
+  code = 'from cvn import environment; environment.prepare(); print(1)'
+  command = [sys.executable, '-c', code]
+  environ = {**os.environ, 'JAX_PLATFORMS': platform, 'CUDA_VISIBLE_DEVICES': ''}
+  done = subprocess.run(command, env=environ, capture_output=True, text=True)
+  if done.returncode == 0:
+    pytest.skip(f'this machine has a {platform} device')
+  assert done.returncode == 1 and done.stdout == ''
+  assert (
+    done.stderr.startswith(f'error: JAX_PLATFORMS={platform} ') and done.stderr.count('\n') == 1
+  )

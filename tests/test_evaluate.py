@@ -330,6 +330,28 @@ def test_a_threshold_is_chosen_on_val_or_given(tmp_path, given, capsys):
   assert not evaluation.is_threshold('high')
 
 
+def test_a_data_set_with_a_test_split_alone_is_measured_by_another_one(tmp_path, given):
+  """Threshold, alpha and baselines are the other data set's; models and scores are not."""
+  only_test = synthetic.make_dataset(
+    tmp_path / 'only_test', 2, splits=('test',), azimuths=AZIMUTHS, image_size=IMAGE, grid_size=GRID
+  ).root
+  whole = _make_with_val(tmp_path)
+  chosen = {'threshold': 'val', 'alpha': 'val'}
+  with pytest.raises(UserError, match='or another data set as --reference_data'):
+    _run(**given | chosen | {'data': only_test})
+  own = _evaluate(tmp_path, '--baselines', **given | chosen | {'data': whole})
+  far = given | chosen | {'data': only_test, 'reference_data': whole}
+  report = _evaluate(tmp_path, '--baselines', **far)
+  assert report['models'] == 2 and report['baselines']['total']['iou'] is not None
+  assert (report['threshold'], report['alpha']) == (own['threshold'], own['alpha'])
+  assert report['options']['reference_data'] == dataset.to_url(whole)
+  with pytest.raises(UserError, match='has no source'):
+    _run(**far | {'reference_source': 'nowhere'})
+  big = synthetic.make_dataset(tmp_path / 'big', 1, splits=('val',), image_size=64, grid_size=32)
+  with pytest.raises(UserError, match='must be of the same sizes'):
+    _run(**far | {'reference_data': big.root})
+
+
 def test_an_alpha_is_chosen_on_val_or_given(tmp_path, given, capsys):
   data = _make_with_val(tmp_path)
   whose = {k: given[k] for k in ('shape', 'color')} | {'data': data, 'threshold': 0.3}

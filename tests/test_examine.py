@@ -63,7 +63,7 @@ def test_a_good_model_is_not_suspected():
   'change, reason',
   [
     ({'voxels': 12}, 'almost empty (12 voxels)'),
-    ({'color_spread': 0.001}, 'all of one colour'),
+    ({'color_spread': 0.001}, 'a single colour'),
     ({'volume': -0.5}, 'inside out (signed volume -0.50 of its box)'),
     ({'missing': 2}, '2 files or materials missing'),
   ],
@@ -87,12 +87,12 @@ def test_a_model_on_its_side_among_upright_ones():
   ('category', 'uprightness', 'breadth', 'reason'),
   [
     ('human', 1.8, 0.9, None),
-    ('Human', 0.4, 0.9, 'it seems to lie: 0.4 times as high as wide or deep'),
+    ('Human', 0.4, 0.9, 'seems to lie down: 0.4 times as high as wide or deep'),
     ('car', 0.4, 0.5, None),
-    ('car', 0.4, 2.1, 'it seems to be turned: 2.1 times as wide as deep'),
-    ('car', 2.2, 0.5, 'it seems to lie'),
-    ('guitar', 2.7, 0.4, 'it seems to be turned'),
-    ('chair', 0.3, 1.0, 'it seems to lie'),
+    ('car', 0.4, 2.1, 'seems to face another way: 2.1 times as wide as deep'),
+    ('car', 2.2, 0.5, 'seems to lie'),
+    ('guitar', 2.7, 0.4, 'seems to face another way'),
+    ('chair', 0.3, 1.0, 'seems to lie'),
     ('spoon', 0.1, 9.0, None),
   ],
 )

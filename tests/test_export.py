@@ -129,6 +129,17 @@ def test_glb_has_a_material_with_the_palette(tmp_path):
   assert tree['images'][texture['source']]['mimeType'] == 'image/png'
 
 
+def test_ply_with_z_up_is_turned_not_mirrored(tmp_path):
+  voxels = _voxels()
+  export.write_ply(tmp_path / 'y.ply', voxels)
+  export.write_ply(tmp_path / 'z.ply', voxels, up='z')
+  y, z = (trimesh.load(tmp_path / f'{up}.ply') for up in 'yz')
+  np.testing.assert_allclose(
+    z.vertices, np.stack([y.vertices[:, i] for i in (0, 2, 1)], -1) * [1, -1, 1]
+  )
+  np.testing.assert_allclose(z.volume, y.volume)
+
+
 @pytest.mark.parametrize('write', [export.write_glb, export.write_ply])
 def test_nothing_occupied_writes_nothing(tmp_path, write):
   empty = grid.ColoredVoxels(np.zeros((4,) * 3, bool), np.zeros((4, 4, 4, 3)))

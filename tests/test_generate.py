@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import time
+import types
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
@@ -162,7 +163,7 @@ def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
     (tmp_path / 'in' / f'{name}.obj').write_text('mtllib x.mtl\n' + solid.format(material))
   generate.run(parsed(*arguments(tmp_path / 'in', tmp_path / 'out')))
   out = capsys.readouterr().out
-  assert '1 models name files or materials that are not there\n' in out
+  assert '1 models name files or materials that do not exist\n' in out
   assert f'1 models: {notes.MATERIAL_GUESSED}\n' in out
   dataset = dataset_lib.open_dataset(str(tmp_path / 'out'))
   facts = [dataset_lib.read_record(dataset, row).facts for row in range(3)]
@@ -173,7 +174,7 @@ def test_what_was_guessed_or_missing_is_summed_up(tmp_path, threads, capsys):
 def test_all_failed(tmp_path, threads):
   (tmp_path / 'meshes').mkdir()
   (tmp_path / 'meshes' / 'empty.obj').write_text('v 0 0 0\n')
-  with pytest.raises(UserError, match='not one of 1 models could be made; empty: '):
+  with pytest.raises(UserError, match='none of 1 models could be made; empty: '):
     generate.run(parsed(*arguments(tmp_path / 'meshes', tmp_path / 'output')))
 
 
@@ -182,7 +183,7 @@ def test_splits_from_files(meshes, tmp_path):
   with pytest.raises(UserError, match='list_box'):
     generate.run(f)
   (tmp_path / 'train_list_box.txt').write_text('d\n')
-  with pytest.raises(UserError, match='names a or another'):
+  with pytest.raises(UserError, match='name none of the models, such as a'):
     generate.run(f)
   (tmp_path / 'test_list_box.txt').write_text('c\n')
   (tmp_path / 'val_list_box.txt').write_text('broken\n')
@@ -283,6 +284,17 @@ def test_an_unforeseen_error_is_a_reason(monkeypatch, generated):
   outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', Settings(), 60.0))
   assert outcome.reason == 'ZeroDivisionError: three lines long'
   assert outcome.stats is None
+
+
+def test_more_voxels_than_a_record_holds_are_the_models_fault(monkeypatch, generated):
+  def fill(*_, **__):
+    full = pipeline.dataset_lib.SURFACE_CAPACITY + 1
+    return types.SimpleNamespace(surface_index=np.zeros((full, 3), np.uint8)), None
+
+  monkeypatch.setattr(pipeline, '_make', fill)
+  model = SourceModel('box-0', 'box', str(generated[1] / '..'))
+  outcome = pipeline.run_job(Job(str(generated[1]), 1, model, 'meshes', Settings(), 60.0))
+  assert 'a record holds 1 to' in outcome.reason and outcome.stats is None
 
 
 class FragileExecutor(Executor):
@@ -423,7 +435,7 @@ def test_several_categories_are_subfolders(meshes, tmp_path, threads):
   assert {(m.split, m.licence, m.creator) for m in models} == {('test', 'CC0', 'Anna')}
   with pytest.raises(UserError, match='has no subfolder table'):
     generate.run(parsed('--source=meshes', '--category=car,table', *flags))
-  with pytest.raises(UserError, match='is no name'):
+  with pytest.raises(UserError, match='is not a name'):
     generate.run(parsed('--source=meshes', '--category=car|human', *flags))
 
 
@@ -539,5 +551,5 @@ def test_a_job_whose_worker_is_lost_again_and_again():
 
 def test_a_lost_scheduler_ends_the_run():
   jobs = [Job('', 0, None, '', None, None)]
-  with pytest.raises(UserError, match='the same command goes on'):
+  with pytest.raises(UserError, match='repeat the command'):
     list(run_jobs(jobs, lambda _: LostExecutor(CancelledError()), 2))

@@ -137,7 +137,7 @@ def test_says_what_is_wrong_with_the_input(wheel, tmp_path):
     'nowhere': 'does not exist',
     'empty': 'holds no mesh file',
     'note.txt': 'cannot be read as a zip archive',
-    'other.whl': 'holds no body data',
+    'other.whl': 'does not hold the body data',
   }.items():
     with pytest.raises(UserError, match=f'{name}.*{reason}.*pip download'):
       humans.list_models('human', str(tmp_path / name), 1, 0)

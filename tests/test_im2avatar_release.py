@@ -132,13 +132,13 @@ def nothing(data):
     (lambda m: (m / 'models/model_normalized_16.h5').write_text('?'), 'cannot be read as HDF5'),
     (lambda m: write(m / 'models/model_normalized_16.h5', np.zeros((8, 8, 8, 3))), 'not numbers'),
     (damage('models/model_normalized_16.h5', surface_nan), 'at 1 of .* outside .* as nan'),
-    (damage('models/model_normalized_16.h5', surface_bright), r'values are outside \[0, 1\]'),
+    (damage('models/model_normalized_16.h5', surface_bright), r'values outside \[0, 1\]'),
     (damage('models/model_normalized_16.h5', nothing), '0 surface voxels'),
     (damage('models/16_0.523_coor.h5', nothing), '16_0.523_coor.h5: .* outside .* as -1'),
     (lambda m: (m / 'views/0.000.png').write_text('?'), 'cannot be read as PNG'),
     (lambda m: Image.new('RGB', (9, 9)).save(m / 'views/0.000.png'), '9 x 9 pixels, not 32 x 32'),
     (lambda m: (m / 'views/0.000.png').unlink() or Image.new('RGB', (32, 32), (245,) * 3).save(
-      m / 'views/0.000.png'), 'nothing but its ground'),
+      m / 'views/0.000.png'), 'only its background'),
   ],
 )  # fmt: skip
 def test_damaged_models_fail_in_one_line(model, change, message):

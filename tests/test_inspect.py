@@ -46,7 +46,7 @@ def test_a_whole_data_set(data, tmp_path, capsys):
   assert lines['egg'][1:6] == ['4', '3', '2', '0', '1']
   assert '        7  not stated' in out
   assert '1 failed\n        1  m7.obj: the mesh has no faces' in out
-  assert '1 suspicious\n  m2: all of one colour\n' in out
+  assert '1 suspicious\n  m2: a single colour\n' in out
   assert f'        2  {notes.POSE}: m2, m3\n' in out
   assert f'        1  {notes.NO_COORDINATES}: m2\n' in out
   with Image.open(tmp_path / 'sheet.png') as sheet:
@@ -75,7 +75,7 @@ def test_one_model(data, tmp_path, capsys):
   inspected(f'--data={data}', '--id=m2', '--sheet=')
   out = capsys.readouterr().out
   assert 'category   ball' in out
-  assert 'suspicious all of one colour' in out
+  assert 'suspicious a single colour' in out
   assert f'note       {notes.POSE}' in out
   assert 'look at' not in out
 

@@ -1,7 +1,5 @@
 """Pictures of every kind become views in the training framing."""
 
-import logging
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -132,12 +130,14 @@ def test_pale_object_in_a_framed_view_is_kept(tmp_path):
   assert (view[..., 3] > 0).sum() == 50 * 20
 
 
-def test_ground_colour_inside_the_object_is_object(tmp_path):
+def test_enclosed_ground_colour_is_a_gap_and_a_doubt(tmp_path):
   image = _picture()
   image[50:60, 60:80] = 245
-  view = photo.load_view(_save(tmp_path, image))
-  rows, columns = np.flatnonzero(view[..., 3].any(1)), np.flatnonzero(view[..., 3].any(0))
-  assert (view[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1, 3] > 128).all()
+  path = _save(tmp_path, image)
+  found = photo.load_photo(path)
+  assert (found.mask[50:60, 60:80] == 0).all() and (found.mask > 0).sum() == 60 * 120 - 200
+  (warning,) = found.warnings
+  assert warning.startswith(path) and 'enclosed areas in the colour of its ground' in warning
 
 
 def test_object_may_touch_the_border(tmp_path):
@@ -152,22 +152,73 @@ def test_small_pictures_are_enlarged_and_large_ones_shrunk(tmp_path):
   _check_box(photo.load_view(_save(tmp_path, large)))
 
 
-def test_view_of_the_exact_size_keeps_its_framing(tmp_path):
+def test_a_data_sets_view_keeps_its_framing(tmp_path):
   rgba = np.zeros((128, 128, 4), np.uint8)
-  rgba[5:20, 90:110] = (*RED, 255)
-  np.testing.assert_array_equal(photo.load_view(_save(tmp_path, rgba)), rgba)
+  rgba[50:70, 45:75] = (*RED, 255)
+  rgba[50, 45:75, 3] = 90
+  path = _save(tmp_path, rgba)
+  np.testing.assert_array_equal(photo.load_view(path), rgba)
+  assert photo.load_photo(path).source == 'framed'
   on_grey = np.where(rgba[..., 3:] > 0, rgba[..., :3], np.uint8(245))
   view = photo.load_view(_save(tmp_path, on_grey))
-  np.testing.assert_array_equal(view[..., 3], rgba[..., 3])
+  np.testing.assert_array_equal(view[..., 3] > 0, rgba[..., 3] > 0)
   np.testing.assert_array_equal(view[..., :3], on_grey)
 
 
-def test_busy_border_takes_all_and_says_so(tmp_path, caplog):
+@pytest.mark.parametrize('kind', ['corner', 'touching', 'noise', 'jpeg', 'size'])
+def test_other_pictures_of_its_size_are_reframed_unless_a_flag_says_so(tmp_path, kind):
+  size = 127 if kind == 'size' else 128
+  image = np.full((size, size, 3), 245, np.uint8)
+  boxes = {'corner': np.s_[5:25, 80:110], 'touching': np.s_[40:128, 40:90]}
+  box = boxes.get(kind, np.s_[50:70, 45:75])
+  image[box] = RED
+  if kind == 'noise':
+    image = np.uint8(image + np.random.default_rng(0).integers(-4, 5, image.shape))
+  path = _save(tmp_path, image, 'a.jpg' if kind == 'jpeg' else 'a.png')
+  view = photo.load_view(path)
+  longer = max((view[..., 3] > 128).any(axis).sum() for axis in (0, 1))
+  assert abs(longer - EXTENT) <= 1
+  if kind == 'size':
+    with pytest.raises(UserError, match='127 x 127 pixels: a framed view has 128 x 128'):
+      photo.load_photo(path, framed=True)
+    return
+  kept = photo.load_photo(path, framed=True).view[..., 3] > 128
+  assert kept[box].mean() > 0.98 and kept.sum() < 1.1 * kept[box].size
+
+
+def test_noframed_reframes_a_data_sets_view(tmp_path):
+  rgba = np.zeros((128, 128, 4), np.uint8)
+  rgba[50:70, 45:75] = (*RED, 255)
+  view = photo.load_photo(_save(tmp_path, rgba), framed=False).view
+  assert abs((view[..., 3] > 128).any(0).sum() - EXTENT) <= 1
+
+
+def test_a_mask_overrides_everything(tmp_path):
+  noise = np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8)
+  noise[20:140, 40:100] = _picture()[20:140, 40:100]
+  path = _save(tmp_path, noise)
+  mask = np.zeros((200, 300), np.uint8)
+  mask[20:140, 40:100] = 255
+  found = photo.load_photo(path, mask=_save(tmp_path, mask, 'mask.png'))
+  assert found.source == 'mask' and found.warnings == ()
+  np.testing.assert_array_equal(found.mask, mask)
+  _check_box(found.view)
+
+
+def test_masks_that_do_not_fit(tmp_path):
+  path = _save(tmp_path, _picture())
+  with pytest.raises(UserError, match=r'mask\.png has 300 x 199 pixels, its picture 300 x 200'):
+    photo.load_photo(path, mask=_save(tmp_path, np.ones((199, 300), np.uint8), 'mask.png'))
+  with pytest.raises(UserError, match=r'empty\.png selects nothing'):
+    photo.load_photo(path, mask=_save(tmp_path, np.zeros((200, 300), np.uint8), 'empty.png'))
+
+
+def test_a_busy_background_is_an_error_that_says_what_to_give(tmp_path):
   noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3), np.uint8)
-  with caplog.at_level(logging.WARNING):
-    view = photo.load_view(_save(tmp_path, noise))
-  assert 'plain background' in caplog.text
-  assert (view[..., 3] > 0).sum() == round(EXTENT) ** 2
+  path = _save(tmp_path, noise)
+  with pytest.raises(UserError, match='nothing tells the object from the background') as e:
+    photo.load_view(path)
+  assert path in str(e.value) and '--mask=FILE' in str(e.value)
 
 
 def test_other_sizes(tmp_path):
@@ -188,7 +239,7 @@ def test_errors_name_the_file_and_the_reason(tmp_path):
   (tmp_path / 'text.png').write_text('hello')
   assert 'no picture' in message(tmp_path / 'text.png')
   (tmp_path / 'empty.png').write_bytes(b'')
-  assert 'no picture' in message(tmp_path / 'empty.png')
+  assert 'empty file' in message(tmp_path / 'empty.png')
   noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3), np.uint8)
   for suffix in ('png', 'jpg', 'webp', 'tiff', 'gif', 'bmp'):
     whole = _save(tmp_path, noise, f'whole.{suffix}')

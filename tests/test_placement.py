@@ -71,9 +71,9 @@ def test_without_a_word_models_stay_as_they_are(tmp_path):
     ('id,turn\na,left\n', "line 2: turn is 'left'"),
     ('id,turn\na,nan\n', "line 2: turn is 'nan'"),
     ('id,split\na,all\n', "line 2: split is 'all'"),
-    ('id,up\na,z\na,z\n', 'line 3: a is there twice'),
-    ('id,up\n,z\n', 'line 2: there is no id'),
-    ('id,up\nx,z\n', 'names none of the models: x is not one, a is'),
+    ('id,up\na,z\na,z\n', 'line 3: a appears twice'),
+    ('id,up\n,z\n', 'line 2: the id is missing'),
+    ('id,up\nx,z\n', 'names none of the models: it has x, the folder has a'),
   ],
 )
 def test_tables_that_are_wrong(tmp_path, text, reason):

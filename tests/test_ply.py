@@ -64,7 +64,7 @@ def test_text_faces_of_several_lengths(tmp_path):
   assert mesh.faces.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3]]
   with pytest.raises(UserError, match='holds fewer'):
     read(tmp_path, content + b'3 0 1 2 9 4 0 1\n2 3 9 2 0 1')
-  with pytest.raises(UserError, match='no number'):
+  with pytest.raises(UserError, match='not a number'):
     read(tmp_path, content + b'3 0 1 x 9 4 0 1\n2 3 9 2 0 1 9')
 
 
@@ -140,7 +140,7 @@ def test_coordinates_of_vertices(tmp_path, names):
   [
     (b'ply\nformat ascii 1.0\n', 'no header'),
     (b'off\nend_header\n', 'no header'),
-    (b'ply\nend_header\n', 'nothing of its format'),
+    (b'ply\nend_header\n', 'does not state its format'),
     (header('ascii', FACE) + text(QUAD), 'no vertices'),
     (header('ascii', ('vertex', 4, *XYZ)) + text(ROWS), 'cloud of points'),
     (header('ascii', ('vertex', -4, *XYZ)), 'declares -4'),

@@ -138,7 +138,7 @@ def test_of_paths_from_elsewhere_the_last_part_is_looked_for(tmp_path, outside, 
   assert read(folder, 'a.gltf', gltf(picture=uri)).missing == (() if there else (uri,))
   if not there:
     assert read(folder, 'b.obj', TEXTURED.replace('a.mtl', outside)).missing == (outside,)
-    refused(folder, 'b.gltf', gltf(uri=uri), 'which is not there')
+    refused(folder, 'b.gltf', gltf(uri=uri), 'does not exist')
 
 
 def test_missing_pictures_are_counted(tmp_path):
@@ -147,7 +147,7 @@ def test_missing_pictures_are_counted(tmp_path):
   assert read(tmp_path, 'b.obj', TEXTURED.replace('a.mtl', 'b.mtl')).missing == ('b.mtl',)
   assert read(tmp_path, 'a.ply', ply(picture='gone.png')).missing == ('gone.png',)
   assert read(tmp_path, 'a.gltf', gltf(picture='gone.png')).missing == ('gone.png',)
-  refused(tmp_path, 'b.gltf', gltf(uri='gone.bin'), r'it names gone\.bin, which is not there')
+  refused(tmp_path, 'b.gltf', gltf(uri='gone.bin'), r'it names gone\.bin, which does not exist')
 
 
 @pytest.mark.parametrize('picture', [b'', b'GIF rubbish', png()[:-30]])

@@ -74,9 +74,9 @@ def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
   assert len(errors) == 3 and str(broken) in errors[0] and str(missing) in errors[1]
   assert errors[2] == 'error: 2 of 4 pictures failed'
   assert f'{first} -> ' in stdout and f'{second} -> ' in stdout
-  assert sorted(os.listdir(output)) == [
-    f'chair{n}.{suffix}' for n in ('', '_2') for suffix in ('glb', 'ply', 'png')
-  ]
+  assert set(os.listdir(output)) == {
+    f'chair{n}{end}' for n in ('', '_2') for end in ('.glb', '.ply', '.png', '_mask.png')
+  }
   for name in ('chair', 'chair_2'):
     ply = trimesh.load(output / f'{name}.ply')
     glb = trimesh.load_scene(output / f'{name}.glb').geometry['voxels']
@@ -85,13 +85,40 @@ def test_pictures_good_and_bad(tmp_path, workdirs, capsys):
       assert panel.width > panel.height
 
 
+def test_a_folder_with_doubts_and_masks(tmp_path, workdirs, capsys):
+  one = _picture(tmp_path / 'in' / 'one.png', (200, 30, 40))
+  with Image.open(one) as image:
+    two = np.asarray(image).copy()
+  two[40:130, 140:190] = (30, 150, 220)
+  Image.fromarray(two).save(tmp_path / 'in' / 'two.png')
+  common = {'threshold': 0.3, **workdirs}
+  assert _run(image=tmp_path / 'in', output=tmp_path / 'out', up='z', **common) == 0
+  stdout, stderr = capsys.readouterr()
+  assert 'one.png -> ' in stdout and 'object by ground' in stdout
+  assert f'warning: {tmp_path}/in/two.png shows 2 separate parts' in stderr
+  with Image.open(tmp_path / 'out' / 'one_mask.png') as mask:
+    expected = np.zeros((150, 200), bool)
+    expected[30:130, 60:120] = True
+    np.testing.assert_array_equal(np.asarray(mask) > 0, expected)
+  # The mask that was written is one that can be given.
+  given = {'image': one, 'mask': tmp_path / 'out' / 'one_mask.png', **common}
+  assert _run(output=tmp_path / 'again', **given) == 0
+  assert 'object by mask' in capsys.readouterr().out
+  for name in ('one.glb', 'one_mask.png'):
+    assert (tmp_path / 'out' / name).read_bytes() == (tmp_path / 'again' / name).read_bytes()
+  with pytest.raises(UserError, match='overwrite'):
+    _run(output=tmp_path / 'out', **given)
+  with pytest.raises(UserError, match='1 files for 2 pictures'):
+    _run(output=tmp_path / 'x', **given | {'image': tmp_path / 'in'})
+
+
 def test_mirrored_and_carved(tmp_path, workdirs, monkeypatch):
   picture = str(tmp_path / 'a.png')
   image = np.full((160, 160, 3), 245, np.uint8)
   image[30:130, 50:80], image[40:130, 80:110] = (200, 30, 40), (30, 150, 220)
   Image.fromarray(image).save(picture)
   made = []
-  monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels: made.append(voxels))
+  monkeypatch.setattr(program.export, 'write_ply', lambda _, voxels, up: made.append(voxels))
   given = {'image': picture, 'output': tmp_path / 'out', 'threshold': 0.5, **workdirs}
   assert _run('--flip', '--carve', **given) == 0
   shape, color = (infer.load(workdirs[kind], kind) for kind in ('shape', 'color'))
@@ -133,15 +160,6 @@ def test_bad_folders_and_names(tmp_path, workdirs):
     _run(**good | {'shape': tmp_path})
   with pytest.raises(UserError, match='holds a shape network'):
     _run(**good | {'color': workdirs['shape']})
-
-
-def test_names_of_pictures(tmp_path, monkeypatch):
-  monkeypatch.chdir(tmp_path)
-  (tmp_path / 'a,b.png').touch()
-  assert program.split_names(['a,b.png', 'c.png, d.png,', 'c.png']) == ['a,b.png', 'c.png', 'd.png']
-  paths = ['x/a.png', 'y/a.jpg', 'a_2.png', 'z/a.png']
-  names = program.output_names(paths)
-  assert names['x/a.png'] == 'a' and len(set(names.values())) == 4
 
 
 def test_program_ends_in_one_line():

@@ -153,7 +153,7 @@ def test_alpha_is_what_differs_from_the_top_left_pixels_red():
     (picture(np.zeros((2, 2, 3)))[:-30], 'a.png cannot be read as PNG'),
     (picture(np.zeros((2, 2, 3)), format='JPEG'), 'a.png cannot be read as PNG'),
     (picture(np.zeros((3, 2, 3))), 'a.png has 2 x 3 pixels, not 2 x 2'),
-    (picture(np.full((2, 2, 3), 245)), 'a.png shows nothing but its ground'),
+    (picture(np.full((2, 2, 3), 245)), 'a.png shows only its background'),
   ],
 )
 def test_pictures_that_are_no_views(content, message):

@@ -251,7 +251,7 @@ def test_the_lists_of_the_paper_choose_the_models(tmp_path):
     listed, note = plan.keep_listed(models, str(lists), None)
     planned = plan.plan(listed, 'shapenet', input_dir=str(tmp_path))
     assert [(m.id, m.split) for m in planned] == [('abc', 'test'), ('def', 'train'), ('ghi', 'val')]
-    assert '3 models listed and there, 1 listed but not there, 1 there but not' in note
+    assert '3 models listed and found, 1 listed but not found, 1 found but not' in note
 
 
 @pytest.mark.skipif(not RELEASE.is_dir(), reason='the lists of the paper are not here')

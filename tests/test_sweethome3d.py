@@ -200,7 +200,7 @@ def test_colours_are_the_mtl_files_or_the_built_in_materials(tmp_path):
   ('keys', 'reason'),
   [
     ({'model': '/gone.obj'}, 'no file gone.obj'),
-    ({'model': '/Chair/chair.3ds'}, r'chair\.3ds is none of the kinds read: \.obj'),
+    ({'model': '/Chair/chair.3ds'}, r'chair\.3ds is not in a supported format: \.obj'),
     ({'model': '/../../Chair/Chair'}, 'none of the kinds read'),
     ({'modelRotation': '1 0 0 0 1 0 0 0'}, "9 numbers, not '1 0 0 0 1 0 0 0'"),
     ({'modelRotation': '1 0 0 0 1 0 0 0 nan'}, 'modelRotation must be 9 numbers'),

@@ -1,9 +1,9 @@
-"""Faces in the very same place: which of them is seen.
+"""Faces that coincide: only the visible one is kept.
 
-Many models hold their faces twice, once for either side, with another colour on the inside, or hold
-the same face several times. Renderers that show only the side that a face turns to the viewer show
-the right colour; here surfaces have two sides, what a ray meets first among such faces is left to
-rounding, and a voxel would have their mean. So one face is kept, and views and voxels agree.
+Many models contain a face twice, once for each side and with different colours, or several times.
+Renderers that cull back faces show the right colour. We shade both sides, so rounding would decide
+which of the faces a ray meets, and a voxel would average them. Keeping one face makes views and
+voxels agree.
 """
 
 import itertools
@@ -22,15 +22,15 @@ RESOLUTION = 112  # rays along either side of a square that holds the mesh
 
 
 def without_coincident(mesh: TexturedMesh) -> TexturedMesh:
-  """Keeps one of all faces that have the same three corners, whichever way they go round.
+  """Keeps one of all faces with the same three corners, in either orientation.
 
-  It is one that looks to where it is seen from: rays from all around meet its front, and the other
-  side's hardly. Where both sides are seen, or neither, it is one with a texture before one without,
-  then the one whose looks are met more often elsewhere, which makes sheets of one colour, and then
-  the first.
+  It is the face whose front is seen: rays from all around meet its front, and hardly ever the other
+  side's. If both sides are seen, or neither, a face with a texture wins over one without, then the
+  face whose appearance is seen more often elsewhere, which keeps sheets in one colour, then the
+  first.
 
   Args:
-    mesh: normalised.
+    mesh: the mesh, normalised.
   """
   place, turn = _places(mesh.vertices, mesh.faces)
   count = np.bincount(place)
@@ -61,7 +61,7 @@ def without_coincident(mesh: TexturedMesh) -> TexturedMesh:
 
 
 def _places(vertices, faces):
-  """Where faces are, and which way they go round.
+  """The places of faces and their orientations.
 
   Returns:
     place [F] int64, the same for the same three corners; turn [F], 0 or 1.
@@ -75,7 +75,7 @@ def _places(vertices, faces):
 
 
 def _hash(vertices):
-  """[V] uint64 of positions: the same for the same position and, in practice, for no other."""
+  """Hashes [V] uint64 of positions; different positions practically never collide."""
   bits = (vertices + 0.0).view(np.uint64)  # + 0.0: of zero there are two
   h = np.zeros(len(vertices), np.uint64)
   for k in range(3):
@@ -87,14 +87,14 @@ def _hash(vertices):
 
 
 def _looks(mesh, faces):
-  """[N] int64, the same for faces of the same texture and colour."""
+  """[N] int64, the same for faces with the same texture and colour."""
   color = np.rint(255 * mesh.corner_colors[faces, 0]).astype(np.int64)
   number = color @ (256 ** np.arange(4)) + (mesh.texture[faces].astype(np.int64) << 32)
   return np.unique(number, return_inverse=True)[1]
 
 
 def _rays_met(mesh):
-  """How many rays meet each face from before it and from behind: two [F] int64."""
+  """The number of rays that meet each face from the front and from behind: two [F] int64."""
   mi.set_variant('scalar_rgb')
   scene = mi.load_dict({'type': 'scene', 'shape': to_mitsuba(mesh)})
   integrator = mi.load_dict({'type': 'aov', 'aovs': 'face:prim_index'})
@@ -112,7 +112,7 @@ def _rays_met(mesh):
 
 
 def _sensor(direction):
-  """Parallel rays from a direction; their square holds the cube [-0.5, 0.5]^3."""
+  """Parallel rays from one direction, in a square that holds the cube [-0.5, 0.5]^3."""
   up = (0, 0, 1) if abs(direction[1]) > 0.9 else (0, 1, 0)
   look = mi.ScalarTransform4f().look_at(origin=(2 * direction).tolist(), target=(0, 0, 0), up=up)
   return mi.load_dict(

@@ -1,9 +1,9 @@
-"""The colour that most of the surface in a voxel has.
+"""The dominant colour of the surface in a voxel.
 
-The mean of red and white is pink, which no view shows. So areas are counted in a coarse histogram
-of RGB a voxel, and the voxel takes the mean colour of the 2 x 2 x 2 neighbouring bins that hold
-the largest area together. What differs by less than a bin in each channel is always together,
-wherever the bins' borders lie; a grain or a shade is averaged, and two materials are not.
+The mean of red and white is pink, which no view shows. So the area in a voxel is counted in a
+coarse RGB histogram, and the voxel takes the mean colour of the 2 x 2 x 2 neighbouring bins with
+the largest total area. Colours that differ by less than a bin in every channel always share such a
+window, so grain and shading are averaged and two materials are not.
 """
 
 import itertools
@@ -18,7 +18,7 @@ _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
 
 
 class Tally(NamedTuple):
-  """Areas and colours by voxel and bin, the K of them that hold something."""
+  """Areas and colours of the K nonempty pairs of voxel and bin."""
 
   key: np.ndarray  # [K] int64, voxel * LEVELS^3 + bin, in order
   total: np.ndarray  # [K, 4] float64: area times r, g, b; area
@@ -28,11 +28,11 @@ EMPTY = Tally(np.empty(0, np.int64), np.empty((0, 4)))
 
 
 def add(tally: Tally, voxel: np.ndarray, area: np.ndarray, color: np.ndarray) -> Tally:
-  """The tally with more pieces of surface in it.
+  """Adds pieces of surface to the tally.
 
   Args:
-    tally: what is counted so far.
-    voxel: [N] int64, the pieces' voxels by any number from 0.
+    tally: the counts so far.
+    voxel: [N] int64, the voxel of each piece, any numbers from 0.
     area: [N] above 0, in any unit.
     color: [N, 3] in [0, 1].
   """
@@ -43,7 +43,7 @@ def add(tally: Tally, voxel: np.ndarray, area: np.ndarray, color: np.ndarray) ->
 
 
 def dominant_colors(tally: Tally) -> tuple[np.ndarray, np.ndarray]:
-  """The voxels that hold something, and their colours.
+  """The nonempty voxels and their dominant colours.
 
   Returns:
     (voxel [M] in order, color [M, 3] in [0, 1]).
@@ -61,7 +61,7 @@ def dominant_colors(tally: Tally) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _largest_windows(tally):
-  """Totals [M, 4] of the 2 x 2 x 2 bins that hold most, one row a voxel that holds something."""
+  """Totals [M, 4] of the 2 x 2 x 2 bins with the largest area, a row for each nonempty voxel."""
   of_voxel, bins = _split(tally.key)
   cuts = np.searchsorted(of_voxel, of_voxel[::CHUNK])  # no voxel is in two parts
   result = [np.empty((0, 4))]
@@ -77,17 +77,17 @@ def _largest_windows(tally):
 
 
 def _split(key):
-  """Voxels [K] and bins [K, 3] of keys [K]."""
+  """The voxels [K] and bins [K, 3] of keys [K]."""
   voxel, bins = np.divmod(key, LEVELS**3)
   return voxel, np.stack(np.unravel_index(bins, (LEVELS,) * 3), -1)
 
 
 def _joined(bins, side):
-  """[..., 3] numbers below `side` -> [...] one number."""
+  """Combines [..., 3] numbers below `side` into [...] one number."""
   return (bins[..., 0] * side + bins[..., 1]) * side + bins[..., 2]
 
 
 def _merged(key, total):
-  """Adds up the rows of equal keys."""
+  """Adds up rows with equal keys."""
   key, group = np.unique(key, return_inverse=True)
   return Tally(key, np.stack([np.bincount(group, t, len(key)) for t in total.T], -1))

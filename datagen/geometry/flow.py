@@ -1,19 +1,18 @@
 """Target appearance flows: where each view shows the colour of each surface voxel (section 3.3).
 
-A voxel stands for the surface's point nearest to its centre. It is visible in a view when that
+A voxel is represented by the surface point nearest to its centre. It is visible in a view if the
 point lies within `tolerance` voxels, along the viewing axis, of the surface that the view shows in
-the pixel the point projects to; its flow is that projection. A voxel's colour is its surface's
-dominant one, and the pixel there may show another: then the flow is the centre of the closest of
-the pixels around it, of the 3 x 3 that a voxel covers about, that shows a similar colour and a
-surface within the tolerance. When none does, the projection stands.
+the pixel of the point's projection; its flow is that projection. The pixel may show another colour
+than the voxel's, which is the dominant colour of its surface. Then the flow is the centre of the
+closest of the 3 x 3 pixels around, about the size of a voxel, that shows a similar colour and a
+surface within the tolerance. If there is none, the projection stays.
 
-An occluded voxel takes, among the foreground pixels of similar colour, the one closest to its
-projection. When the view has no similar pixel, it takes the most similar one, and of several the
-closest.
+A hidden voxel takes the foreground pixel of similar colour that is closest to its projection. If
+the view has no similar pixel, it takes the most similar one, and among equals the closest.
 
-Similar means within `similarity`, as Euclidean distance of RGB in [0, 1]. A flow is right when
-sampling fetches a similar colour both ways: from the nearest pixel and bilinearly, whatever the
-background that is mixed in at an outline.
+Colours are similar if their Euclidean RGB distance in [0, 1] is at most `similarity`. A flow is
+right if both nearest and bilinear sampling fetch a similar colour, whatever background is mixed in
+at an outline.
 """
 
 import itertools
@@ -39,7 +38,7 @@ _TOO_FAR = np.float32(1e9)  # squared pixels, more than any image has
 
 
 class FlowStats(NamedTuple):
-  """How well the flows show the voxels' colours, over all views of one model."""
+  """How well the flows fetch the voxels' colours, over all views of one model."""
 
   visible: float  # share of (view, voxel) pairs that are visible
   matched: float  # share that are occluded and found a pixel of similar colour
@@ -71,20 +70,20 @@ def target_flows(
   """Finds the target flow of every surface voxel in every view.
 
   Args:
-    point: [S, 3] the surface's points that stand for the voxels, world coordinates.
+    point: [S, 3] the surface points that represent the voxels, world coordinates.
     color: [S, 3] u8 the voxels' colours.
     rgba: [V, H, W, 4] u8 the views.
     depth: [V, H, W] along the viewing axis, world units; inf where alpha is 0.
-    cameras: one a view.
+    cameras: one for each view.
     grid_size: voxels along one side of the grid.
-    tolerance: voxels.
-    similarity: distance in RGB.
+    tolerance: in voxels.
+    similarity: RGB distance.
 
   Returns:
     The flows.
 
   Raises:
-    ValueError: shapes do not agree, or a view shows nothing.
+    ValueError: shapes do not agree, or a view is empty.
   """
   if not rgba.shape[:3] == depth.shape == (len(cameras), *depth.shape[1:]):
     raise ValueError(f'views {rgba.shape}, depth {depth.shape}, {len(cameras)} cameras')
@@ -128,18 +127,18 @@ def target_flows(
 
 
 def sampling_error(rgba: np.ndarray, pixel: np.ndarray, color: np.ndarray) -> np.ndarray:
-  """How far the colours that sampling a view fetches are from the right ones, at worst.
+  """The error of the colours that sampling a view fetches, in the worst case.
 
-  The larger distance of two: of the nearest pixel's colour and of the bilinear sample, which
-  cvn/sampler.py defines, over the background that is the farthest from the right colour.
+  It is the larger of two distances: of the nearest pixel's colour, and of the bilinear sample (see
+  cvn/sampler.py) over the background that is farthest from the right colour.
 
   Args:
     rgba: [H, W, 4] u8 the view.
-    pixel: [S, 2] where it is sampled, continuous pixel coordinates.
-    color: [S, 3] the right colours, of 255.
+    pixel: [S, 2] sampling positions, continuous pixel coordinates.
+    color: [S, 3] the right colours, 0 to 255.
 
   Returns:
-    [S] Euclidean distances of RGB in [0, 1].
+    [S] Euclidean RGB distances in [0, 1].
   """
   last = np.array(rgba.shape[1::-1]) - 1
   background = np.where(color < 127.5, 255.0, 0.0)
@@ -163,7 +162,7 @@ def _shows(depth, at, distance, tolerance):
 
   Args:
     depth: [H, W], inf where empty.
-    at: [..., 2] pixels (column, row), in the image or not.
+    at: [..., 2] pixels (column, row), inside the image or not.
     distance: [...] depths.
     tolerance: world units.
 
@@ -176,16 +175,16 @@ def _shows(depth, at, distance, tolerance):
 
 
 def _corrected(pixel, distance, color, rgba, depth, tolerance, similarity):
-  """Moves flows of visible voxels in one view to the right pixels, where theirs are not.
+  """Moves flows of visible voxels that show a wrong colour to the right pixels, in one view.
 
   Args:
     pixel: [N, 2] projections.
     distance: [N] depths.
-    color: [N, 3] voxels' colours, of 255.
+    color: [N, 3] voxels' colours, 0 to 255.
     rgba: [H, W, 4] u8 the view.
     depth: [H, W] its depth.
     tolerance: world units.
-    similarity: in RGB.
+    similarity: RGB distance.
 
   Returns:
     [N, 2].
@@ -205,18 +204,17 @@ def _corrected(pixel, distance, color, rgba, depth, tolerance, similarity):
 
 
 def _closest_similar(pixel, color, centers, seen, similarity):
-  """The rule for occluded voxels in one view.
+  """The rule for hidden voxels, in one view.
 
   Args:
     pixel: [N, 2] projections.
-    color: [N, 3] voxels' colours, of 255.
-    centers: [P, 2] the foreground pixels' centres.
+    color: [N, 3] voxels' colours, 0 to 255.
+    centers: [P, 2] centres of the foreground pixels.
     seen: [P, 3] their colours.
-    similarity: largest distance of similar colours, of 255.
+    similarity: maximum distance of similar colours, 0 to 255.
 
   Returns:
-    chosen: [N] index of the pixel taken.
-    fallback: [N] bool, no pixel is similar.
+    chosen: [N] index of the pixel. fallback: [N] bool, True if no pixel is similar.
   """
   neighbours = np.arange(1, min(_NEIGHBOURS, len(centers)) + 1)
   _, near = cKDTree(centers).query(pixel, k=neighbours)
@@ -235,9 +233,10 @@ def _closest_similar(pixel, color, centers, seen, similarity):
 
 
 def _closest_within(pixel, color, centers, seen, limit):
-  """The closest pixel [N] whose squared distance in colour is at most `limit` [N]; -1 for none.
+  """The closest pixel [N] whose squared colour distance is at most `limit` [N]; -1 for none.
 
-  Voxels of like colours are handled together, and compared only with pixels whose colour is near.
+  Voxels of similar colours are processed together, and compared only with pixels of a colour near
+  theirs.
   """
   chosen, limit = np.full(len(pixel), -1), np.floor(limit)  # squared distances are whole numbers
   order = _by_color(color)
@@ -256,7 +255,7 @@ def _closest_within(pixel, color, centers, seen, limit):
 
 
 def _by_color(color):
-  """An order [N] of colours [N, 3], of 255, in which neighbours are alike (Morton's)."""
+  """An order [N] of colours [N, 3], 0 to 255, in which neighbours are similar (Morton order)."""
   bits = np.unpackbits(color.astype(np.uint8)[..., None], axis=-1)  # [N, 3, 8]
   code = np.packbits(bits.transpose(0, 2, 1).reshape(len(color), 24), axis=-1)
   return np.lexsort(code.T[::-1])
@@ -268,7 +267,7 @@ def _squared(x):
 
 
 def _squared_distances(a, b, less=0):
-  """Squared distances of a [N, D] to b [P, D], less a number or [N]: [N, P] float32."""
+  """Squared distances of a [N, D] to b [P, D], minus a number or [N]: [N, P] float32."""
   a, b = a.astype(np.float32), b.astype(np.float32)
   square_a, square_b = (_squared(a) - less)[:, None], _squared(b)[:, None]
   left = np.concatenate([a, square_a, np.ones_like(square_a)], 1, dtype=np.float32)

@@ -1,12 +1,12 @@
-"""Coloured triangle meshes: one plain form for every file type.
+"""Coloured triangle meshes: one form for all file formats.
 
 Colours are sRGB RGBA values as stored in files, in [0, 1], never linearised. A face has a colour at
-each corner (material, vertex and face colour, multiplied) and, maybe, a texture that multiplies it.
-Texture coordinates are (u, v), u right, v up: v = 1 is the top of the image, which is row 0. Beyond
-[0, 1] an image repeats without end, is mirrored at each turn, or its border goes on, along u and v.
+each corner (the product of material, vertex and face colour) and optionally a texture that
+multiplies it. Texture coordinates are (u, v), u right, v up: v = 1 is the top of the image, which
+is row 0. Outside [0, 1] an image is repeated, mirrored or clamped, along u and v.
 
-What is surface: every face, glass too (a corner alpha below 1 tells of glass and takes nothing
-away), except where the texture's own alpha is below `CUTOUT_ALPHA`: there is a hole.
+Every face is surface, glass included (a corner alpha below 1 means glass and removes nothing),
+except where the texture's alpha is below `CUTOUT_ALPHA`: there it has a hole.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ MAX_COORDINATE = 1e100  # products of some of them are still finite
 
 
 class TexturedMesh(NamedTuple):
-  """V vertices, F triangles, and the colours of the triangles' corners and images."""
+  """V vertices, F triangles, the colours of the triangles' corners, and textures."""
 
   vertices: np.ndarray  # [V, 3] float64
   faces: np.ndarray  # [F, 3] int64 into vertices
@@ -38,11 +38,11 @@ class TexturedMesh(NamedTuple):
 
 
 def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-  """Colour of surface points: the texture, bilinear, times the corners' colour.
+  """Colour of surface points: the bilinear texture times the colour of the corners.
 
   Args:
     mesh: the mesh.
-    face: [N] faces' indices.
+    face: [N] indices of faces.
     barycentric: [N, 3] weights of the face's three corners.
 
   Returns:
@@ -55,7 +55,7 @@ def albedo(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.
 
 
 def is_surface(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-  """Whether points of faces are surface and no hole in a cut-out texture: [N] bool."""
+  """Whether points of faces are surface and not in a hole of a texture: [N] bool."""
   present = np.ones(len(face), bool)
   holed = [t for t, image in enumerate(mesh.textures) if image[..., 3].min() < 255 * CUTOUT_ALPHA]
   for at, texel in _texels(mesh, face, barycentric, only=holed):
@@ -64,13 +64,13 @@ def is_surface(mesh: TexturedMesh, face: np.ndarray, barycentric: np.ndarray) ->
 
 
 def _interpolate(corners, face, barycentric):
-  """[F, 3, C] values of corners at [N] points of faces -> [N, C] float32."""
+  """Interpolates [F, 3, C] values of corners at [N] points of faces: [N, C] float32."""
   corner, w = corners[face], barycentric.astype(np.float32)
   return corner[:, 0] * w[:, :1] + corner[:, 1] * w[:, 1:2] + corner[:, 2] * w[:, 2:]
 
 
 def _texels(mesh, face, barycentric, only=None):
-  """Yields (indices into the points, their [n, 4] texels), one texture after the other."""
+  """Yields (indices into the points, their [n, 4] texels) for each texture."""
   texture = mesh.texture[face]
   for t in range(len(mesh.textures)) if only is None else only:
     at = np.flatnonzero(texture == t)
@@ -94,7 +94,7 @@ def _sample(image: np.ndarray, uv: np.ndarray, wrap: tuple[str, str] = REPEAT) -
 
 
 def _texel_pair(at, size, wrap):
-  """The two texels beside [N] places along one side, and the second one's share."""
+  """The two texels beside each of [N] positions along one side, and the share of the second."""
   if wrap == 'mirror':
     at = 1 - np.abs(at % 2 - 1)
   x = (at % 1 if wrap == 'repeat' else at) * size - np.float32(0.5)
@@ -127,7 +127,7 @@ def check(mesh: TexturedMesh) -> None:
 def normalize(mesh: TexturedMesh) -> TexturedMesh:
   """Centres the bounding box at the origin and scales its longest side to `OBJECT_EXTENT`.
 
-  The box is that of the vertices that faces use.
+  The box holds the vertices that faces use.
   """
   used = mesh.vertices[np.unique(mesh.faces)]
   low, high = used.min(0), used.max(0)

@@ -1,14 +1,14 @@
 """Views of a coloured mesh, with alpha and depth from the same rays, traced by Mitsuba.
 
-Shading is deferred: Mitsuba says which face each ray meets, and the colour there is
-`geometry.mesh.albedo`, the very function that colours the voxels. Surfaces have two sides. A pixel
-is foreground when the ray through its centre meets the surface, so that alpha is 0 or 255 and edges
-are hard as in the authors' data; its colour is the mean over the SAMPLES x SAMPLES rays of the
-pixel that meet the surface. Depth is the distance along the viewing axis, of the centre's ray.
-Where alpha is 0, the colour is 0 and the depth infinite.
+Shading is deferred: Mitsuba finds the face that each ray meets, and the colour there is
+`datagen.geometry.mesh.albedo`, the function that also colours the voxels. Surfaces have two sides.
+A pixel is foreground if the ray through its centre meets the surface, so alpha is 0 or 255 and
+edges are hard, as in the authors' data. Its colour is the mean over those of its SAMPLES x SAMPLES
+rays that meet the surface. Depth is the distance along the viewing axis, of the centre's ray. Where
+alpha is 0, the colour is 0 and the depth infinite.
 
-Holes that a texture cuts (`geometry.mesh.is_surface`) are looked through, up to MAX_LAYERS of them,
-one behind the other.
+Rays continue through holes in textures (`datagen.geometry.mesh.is_surface`), up to MAX_LAYERS of
+them.
 """
 
 from collections.abc import Sequence
@@ -54,10 +54,10 @@ def render(
     mesh: the mesh, normalised.
     cameras: pinhole cameras with square pixels, made for `image_size`.
     image_size: height and width of the views in pixels.
-    shading: 'flat' shows the albedo as it is; 'lit' puts the mesh under soft light.
+    shading: 'flat' shows the albedo; 'lit' adds soft light.
 
   Returns:
-    The views, in the cameras' order.
+    The views, in the order of the cameras.
 
   Raises:
     ValueError: an unknown shading.
@@ -94,7 +94,7 @@ def render(
 
 
 def to_mitsuba(mesh: TexturedMesh):
-  """The mesh's triangles, behind a dummy: a ray that meets nothing is said to meet face 0."""
+  """The mesh's triangles after a dummy face: a ray that meets nothing reports face 0."""
   vertices, faces = mesh.vertices, np.concatenate([np.zeros((1, 3), np.int64), mesh.faces])
   white = {'type': 'twosided', 'bsdf': {'type': 'diffuse', 'reflectance': 1.0}}
   properties = mi.Properties()
@@ -108,19 +108,19 @@ def to_mitsuba(mesh: TexturedMesh):
 
 
 def _scene(shape):
-  """The shape alone."""
+  """A scene of the shape alone."""
   return mi.load_dict({'type': 'scene', 'shape': shape})
 
 
 def _sensor(camera: Camera, image_size: int, samples: int, sampler: dict, crop: Sequence[int]):
-  """Our camera as Mitsuba's, whose axes are x left, y up, z forward.
+  """Our camera as a Mitsuba sensor, whose axes are x left, y up, z forward.
 
   Args:
     camera: the camera.
-    image_size: its image's height and width in pixels.
-    samples: film pixels a pixel, along either axis.
+    image_size: height and width of its image in pixels.
+    samples: film pixels for each pixel, along either axis.
     sampler: Mitsuba's description of a sampler.
-    crop: (left, top, right, bottom) film pixels that are rendered.
+    crop: (left, top, right, bottom) in film pixels; the rest is not rendered.
   """
   to_world = np.eye(4)
   to_world[:3, :3] = (camera.R * [[-1], [-1], [1]]).T
@@ -151,14 +151,14 @@ def _sensor(camera: Camera, image_size: int, samples: int, sampler: dict, crop: 
 
 
 def _trace(mesh, scene, camera, image_size, used):
-  """What the rays of one view meet.
+  """The intersections of one view's rays.
 
   Args:
     mesh: the mesh.
-    scene: it alone.
-    camera: of the view.
+    scene: its Mitsuba scene.
+    camera: camera of the view.
     image_size: its height and width in pixels.
-    used: [U, 3] the mesh's vertices that faces use.
+    used: [U, 3] the vertices that faces use.
 
   Returns:
     row, column [N] of the N rays that meet the mesh, in steps of 1 / SAMPLES of a pixel; face [N];
@@ -186,10 +186,10 @@ def _trace(mesh, scene, camera, image_size, used):
 
 
 def _barycentric(mesh, face, origin, direction):
-  """Where rays from one point meet the planes of the faces they are known to meet: [N, 3].
+  """Barycentric weights [N, 3] of rays from one point in the planes of the faces that they meet.
 
-  A corner's weight is the volume that the ray spans with the other two corners, seen from the
-  origin, as a share of the sum of all three.
+  The weight of a corner is the volume spanned by the ray and the other two corners, seen from the
+  origin, divided by the sum of all three.
   """
   met, of_ray = np.unique(face, return_inverse=True)
   a, b, c = np.moveaxis(mesh.vertices[mesh.faces[met]] - origin, 1, 0)
@@ -208,7 +208,7 @@ def _points(mesh, face, weight):
 
 
 def _look_through(mesh, scene, origin, direction, face, weight):
-  """Sends the rays that met a hole in a texture further on; face -1 where they meet nothing."""
+  """Continues rays that met a hole in a texture; face -1 where they meet nothing."""
   at = np.arange(len(face))
   for _ in range(MAX_LAYERS):
     at = at[~is_surface(mesh, face[at], weight[at])]
@@ -244,9 +244,9 @@ def _lit_scene(shape):
 
 
 def _irradiance(scene, camera, image_size):
-  """[H, W, 1] light that a white surface sends to the camera, mean over each pixel's surface.
+  """[H, W, 1] light that a white surface reflects to the camera, mean over each pixel's surface.
 
-  Direct light with its soft shadows; a texture's holes cast the shadow of the whole face.
+  It is direct light with soft shadows; a texture's holes cast the shadow of the whole face.
   """
   sampler = {'type': 'multijitter', 'sample_count': LIT_SAMPLES}
   sensor = _sensor(camera, image_size, 1, sampler, (0, 0, image_size, image_size))

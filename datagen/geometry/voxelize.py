@@ -1,29 +1,29 @@
-"""Colour voxelisation: which voxels a surface occupies, and the colour of the surface in each.
+"""Colour voxelisation: the voxels that a surface occupies, and the colour of the surface in each.
 
 After Huang, Yagel, Filippov and Kurzion, "An Accurate Method for Voxelizing Polygon Meshes" (1998),
-with lengths in voxels (L = 1). A voxel is occupied when its centre lies, of some face,
-  * within R_c of it, its edges and its vertices, and
-  * within t of its plane,
-with their constants for 6-separation, the thinnest there is: R_c = 1/2 and t = cos(b) / 2, where b
-is the angle between the face's normal and the nearest axis. No path of steps from voxel to face
-neighbour crosses a closed surface without meeting an occupied voxel: where a step along an axis
+with lengths in voxels (L = 1). A voxel is occupied if, for some face, its centre lies
+  * within R_c of the face, its edges and its vertices, and
+  * within t of its plane.
+The constants are theirs for 6-separation, the thinnest shell: R_c = 1/2 and t = cos(b) / 2, where b
+is the angle between the face's normal and the nearest axis. No path of steps between face-adjacent
+voxels crosses a closed surface without meeting an occupied voxel: where a step along an axis
 crosses a face, one of its ends is within 1/2 of the crossing, and so within t of the plane. (Paths
-that also step to edge and corner neighbours may cross; stopping those takes R_c = sqrt(3)/2, a
-shell 1.7 times as thick.) In the paper edges count without the second condition; with it, however
-finely its faces are cut, a flat sheet is one layer: in each row of voxels along the axis nearest to
-its normal, a single one.
-So every occupied centre is within 1/2 voxel of the surface, hence every occupied voxel is touched
-by it, and every centre within 1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
+through edges and corners of voxels may cross; stopping them takes R_c = sqrt(3)/2, a shell 1.7
+times as thick.) In the paper, edges count without the second condition. With it, a flat sheet is
+one layer however finely its faces are cut: one voxel in each row along the axis nearest to its
+normal. So every occupied centre is within 1/2 voxel of the surface, every occupied voxel touches
+the surface, and every centre within 1 / (2 sqrt 3) = 0.289 voxels of it is occupied.
 
-One thing is added: rods thinner than a voxel, which may pass between all centres, do not vanish. In
-each slice of voxels that an edge crosses, the voxel nearest to the edge is occupied if none of
-the up to four around the edge is. These centres are within sqrt(2)/2 voxels of the surface.
+One rule is added so that rods thinner than a voxel, which may pass between all centres, do not
+vanish: in each slice of voxels that an edge crosses, the voxel nearest to the edge is occupied if
+none of the up to four voxels around the edge is. These centres are within sqrt(2)/2 voxels of the
+surface.
 
-Ties, as when a face lies on the border of two voxels, are decided by moving the surface inwards by
-1e-6 of its size, and by less than that to one side: such a face is one voxel thick, not two, and
-the longest side's ends stay within the margin.
+Ties, such as a face on the border of two voxels, are broken by shrinking the surface by 1e-6 of its
+size and shifting it by less than that. Such a face is then one voxel thick, not two, and the ends
+of the longest side stay within the margin.
 
-What a texture cuts out is no surface; glass is (see datagen/geometry/mesh.py).
+Holes in textures are not surface; glass is (see datagen/geometry/mesh.py).
 """
 
 import itertools
@@ -52,7 +52,7 @@ class SurfaceVoxels(NamedTuple):
 
 
 class _Claims(NamedTuple):
-  """The nearest point of the surface to each voxel's centre, of those that occupy it."""
+  """The nearest surface point to the centre of each occupied voxel."""
 
   distance: np.ndarray  # [size^3] float64; infinite in voxels that nothing occupies
   face: np.ndarray  # [size^3] int64
@@ -64,13 +64,13 @@ def voxelize(
 ) -> SurfaceVoxels:
   """The surface shell of a mesh and its albedo.
 
-  A voxel's colour is the dominant one (see dominant.py) of the surface inside the voxel;
-  where that is too little to be sampled, the albedo at the surface's nearest point to its centre.
-  Faces that no view shows, such as linings and what is inside a body, have a say only in voxels
-  that hold no others.
+  The colour of a voxel is the dominant colour (see dominant.py) of the surface inside it, or the
+  albedo at the surface point nearest to its centre if that surface is too small to be sampled.
+  Faces that no view shows, such as linings and interiors, count only in voxels without visible
+  faces.
 
   Args:
-    mesh: in the cube [-0.5, 0.5]^3; what lies outside is cut off.
+    mesh: in the cube [-0.5, 0.5]^3; parts outside are cut off.
     size: voxels along a side of the grid, at most 255.
     seen: [F] bool, the faces that some view shows; None for all.
 
@@ -110,7 +110,7 @@ def voxelize(
 
 
 def _claim_near_faces(claims, mesh, corners, size):
-  """Faces, edges and vertices: the tests of the paper, one pass over all faces."""
+  """The paper's tests for faces, edges and vertices, in one pass over all faces."""
   a = corners[:, 0]
   ab, ac = corners[:, 1] - a, corners[:, 2] - a
   normal = np.cross(ab, ac)
@@ -145,7 +145,7 @@ def _claim_near_faces(claims, mesh, corners, size):
 
 
 def _nearest(q, ab, ac, normal, has_inside):
-  """The nearest points of triangles (0, ab, ac) to points q, all [N, 3].
+  """The points of triangles (0, ab, ac) that are nearest to points q, all [N, 3].
 
   Returns:
     (distance [N], barycentric [N, 3]).
@@ -173,7 +173,7 @@ def _nearest(q, ab, ac, normal, has_inside):
 
 
 def _claim_thin_rods(claims, mesh, corners, size):
-  """Along every edge: a voxel in each slice that has none around the edge."""
+  """Occupies, along every edge, a voxel in each slice without an occupied voxel around the edge."""
   for i in range(3):
     start, step = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
     axis = np.abs(step).argmax(-1)
@@ -199,7 +199,7 @@ def _claim_thin_rods(claims, mesh, corners, size):
 
 
 def _claim(claims, mesh, size, voxel, distance, face, barycentric):
-  """Occupies voxels, in place; each keeps the nearest point offered so far."""
+  """Occupies voxels in place; each keeps the nearest point so far."""
   ok = _in_grid(voxel, size)
   ok[ok] = is_surface(mesh, face[ok], barycentric[ok])
   at, distance, face, barycentric = _flat(voxel[ok], size), distance[ok], face[ok], barycentric[ok]
@@ -212,11 +212,11 @@ def _claim(claims, mesh, size, voxel, distance, face, barycentric):
 
 
 def _tally(mesh, corners, size, claims, seen):
-  """Counts the albedo and the area of points strewn on the faces, by occupied voxel.
+  """Counts albedo and area at random points of the faces, by occupied voxel.
 
-  A face is cut into rows between its longest edge and the opposite corner, and rows into as many
-  cells, with a point at random in each (always the same: the generator's seed is fixed): without
-  chance, a fine pattern would beat with the cells.
+  A face is cut into rows between its longest edge and the opposite corner, and rows into cells,
+  with one random point in each (the generator's seed is fixed). A regular grid of points would
+  alias with fine patterns.
   """
   edges = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=-1)  # from corner i to i + 1
   base = edges.argmax(-1)
@@ -254,7 +254,7 @@ def _tally(mesh, corners, size, claims, seen):
 
 
 def _ragged(count, chunk):
-  """All pairs (i, k), k < count[i], in order: whole runs of i, about `chunk` pairs at a time."""
+  """All pairs (i, k) with k < count[i], in order, about `chunk` pairs at a time."""
   cuts = np.searchsorted(np.cumsum(count), np.arange(0, count.sum() + chunk, chunk))
   for begin, end in itertools.pairwise(np.unique(np.append(cuts, [0, len(count)]))):
     n = count[begin:end]
@@ -264,7 +264,7 @@ def _ragged(count, chunk):
 
 
 def _take(array, axes):
-  """Entries of [N, 3] along the last axis: axes [N] -> [N], [N, M] -> [N, M]."""
+  """Picks entries of [N, 3] along the last axis: axes [N] -> [N], [N, M] -> [N, M]."""
   if axes.ndim == 1:
     return np.take_along_axis(array, axes[:, None], -1)[:, 0]
   return np.take_along_axis(array, axes, -1)

@@ -1,9 +1,9 @@
-"""One picture of some models of a data set, for a person to check in one look.
+"""An image of some models of a data set, to check at a glance.
 
-A row a model. Views stand beside the colour voxels drawn by the same cameras, so that anything
-mirrored or turned shows. The flow of the first view is shown in the paper's colour code on the
-voxels, from the front and from behind, and last come the colours that this flow fetches from the
-view: where flows point right, they look like the voxels' own.
+There is a row for each model. Views are shown beside the colour voxels drawn through the same
+cameras, so that a mirrored or rotated model is obvious. Then come the flow of the first view, in
+the paper's colour code on the voxels, from the front and from behind, and the colours that this
+flow fetches from the view: where the flow is right, they match the voxels.
 """
 
 import itertools
@@ -23,11 +23,11 @@ GROUND = (245, 245, 245)
 
 
 def contact_sheet(dataset: Dataset, rows: Sequence[int]) -> np.ndarray:
-  """Draws models, one below the other.
+  """Draws models below each other.
 
   Args:
     dataset: the data set.
-    rows: of models that are made, one at least.
+    rows: rows of finished models, at least one.
 
   Returns:
     uint8 [H, W, 3].
@@ -44,13 +44,13 @@ def contact_sheet(dataset: Dataset, rows: Sequence[int]) -> np.ndarray:
 
 
 def rows_to_show(dataset: Dataset, done: np.ndarray, new: Sequence[int], count: int) -> list[int]:
-  """Some models of each category, new ones first; as many of each as there is room for.
+  """Chooses some models of each category, new ones first, as evenly as possible.
 
   Args:
     dataset: the data set.
-    done: [N] bool, models that are made.
-    new: rows of those that were made just now.
-    count: how many at most.
+    done: [N] bool, finished models.
+    new: rows of models made in this run.
+    count: maximum number of rows.
   """
   models, is_new = dataset.manifest.models, set(new)
   waiting: dict[str, list[int]] = {}
@@ -63,14 +63,14 @@ def rows_to_show(dataset: Dataset, done: np.ndarray, new: Sequence[int], count: 
 
 
 def flow_legend(size: int = IMAGE_SIZE) -> np.ndarray:
-  """The colour code over the image plane: uint8 [size, size, 3]."""
+  """The colour code of the image plane: uint8 [size, size, 3]."""
   at = (np.arange(size) + 0.5) / size
   uv = np.stack(np.meshgrid(at, at), -1)
   return np.round(flow_color_code(uv) * 255).astype(np.uint8)
 
 
 def _pictures(dataset: Dataset, record: Record) -> dict[str, np.ndarray]:
-  """Title -> picture."""
+  """The images of a row by their titles."""
   azimuths = dataset.manifest.azimuths
 
   def voxels(values):

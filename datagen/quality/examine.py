@@ -1,6 +1,6 @@
-"""What can be told of a model from its record, and which models look wrong.
+"""Measurements of a record, and which models look wrong.
 
-Colour distances are Euclidean, of RGB in [0, 1].
+Colour distances are Euclidean, for RGB in [0, 1].
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ PEERS = 5  # models of a category that make a median
 
 
 class Examined(NamedTuple):
-  """One model in numbers."""
+  """The measurements of one model."""
 
   voxels: int
   visible: float  # share of (view, voxel) pairs that are visible
@@ -45,7 +45,7 @@ class Examined(NamedTuple):
 
 
 def examine(record: Record) -> Examined:
-  """Measures one model. Under any shading but flat, errors contain the light."""
+  """Measures one model. Under any shading but flat, errors include the light."""
   error = _errors(record)
   color = record.surface_color.astype(np.float32)
   seen = error[record.visible] if record.visible.any() else np.zeros(1)
@@ -66,11 +66,11 @@ def examine(record: Record) -> Examined:
 
 
 def flow_stats(record: Record, similarity: float) -> FlowStats:
-  """What `datagen.geometry.flow` would have counted of flows that were made elsewhere.
+  """The statistics of `datagen.geometry.flow`, for flows that were made elsewhere.
 
   Args:
     record: the model.
-    similarity: distance up to which colours are similar.
+    similarity: maximum distance of similar colours.
   """
   examined = examine(record)
   hidden_similar = ~record.visible & (_errors(record) <= similarity)
@@ -86,11 +86,11 @@ def flow_stats(record: Record, similarity: float) -> FlowStats:
 
 
 def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[list[str]]:
-  """What speaks against each model; most lists are empty.
+  """The reasons to suspect each model; most lists are empty.
 
   Args:
     examined: the models.
-    categories: of each.
+    categories: the category of each.
   """
   tall = {}
   for category in set(categories):
@@ -105,7 +105,7 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
     if e.voxels < FEW_VOXELS:
       reasons.append(f'almost empty ({e.voxels} voxels)')
     if e.color_spread < ONE_COLOR:
-      reasons.append('all of one colour')
+      reasons.append('a single colour')
     if e.volume < INSIDE_OUT:
       reasons.append(f'inside out (signed volume {e.volume:.2f} of its box)')
     times = np.exp(np.log(e.uprightness) - tall.get(category, np.log(e.uprightness)))
@@ -120,25 +120,25 @@ def suspicions(examined: Sequence[Examined], categories: Sequence[str]) -> list[
 
 
 def _unusual(e, category):
-  """How a model stands otherwise than its category does, whatever the others of the set do."""
+  """Proportions that are unusual for the category itself, not for the data set."""
   if category.lower() not in USUAL:
     return []
   (low, high), (narrow, broad) = USUAL[category.lower()]
   if not low <= e.uprightness <= high:
     return [
-      f'it seems to lie: {e.uprightness:.1f} times as high as wide or deep, where a {category} is'
-      f' {low:g} to {high:g} times (--up)'
+      f'seems to lie down: {e.uprightness:.1f} times as high as wide or deep, usual for a'
+      f' {category}: {low:g} to {high:g} (--up)'
     ]
   if not narrow <= e.breadth <= broad:
     return [
-      f'it seems to be turned: {e.breadth:.1f} times as wide as deep, where a {category} is'
-      f' {narrow:g} to {broad:g} times (--turn)'
+      f'seems to face another way: {e.breadth:.1f} times as wide as deep, usual for a {category}:'
+      f' {narrow:g} to {broad:g} (--turn)'
     ]
   return []
 
 
 def _errors(record):
-  """[V, S] distances of the voxels' colours to what their flows fetch."""
+  """[V, S] distances between the voxels' colours and the colours that their flows fetch."""
   size = np.array(record.views.shape[2:0:-1])
   return np.stack(
     [

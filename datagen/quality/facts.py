@@ -1,4 +1,4 @@
-"""What a data set remembers of the mesh behind a record, for `datagen.inspect` to judge."""
+"""Facts about the mesh behind a record, stored for `datagen.inspect`."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ def facts_of(mesh: TexturedMesh) -> Facts:
   """Counts the faces and missing files of a mesh, keeps its notes, and measures its signed volume.
 
   The volume is the divergence theorem's sum of (a - m) · (b - m) × (c - m) / 6 over the faces, m
-  the middle of the bounding box, as a share of the box's volume. A closed surface whose faces look
-  outwards has its own volume, one turned inside out the negative of it; sheets and faces that are
-  there twice, once for either side, add next to nothing.
+  being the middle of the bounding box, divided by the box's volume. A closed surface whose faces
+  look outwards has its own volume, one turned inside out the negative of it. Sheets, and faces that
+  exist once for each side, contribute almost nothing.
   """
   used = mesh.vertices[np.unique(mesh.faces)]
   low, high = used.min(0), used.max(0)

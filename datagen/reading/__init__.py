@@ -1,9 +1,9 @@
-"""A mesh file -> a coloured mesh, with the files that it names.
+"""Mesh files and the files that they name -> coloured meshes.
 
-OBJ (+MTL), glTF and GLB, PLY, DAE, OFF and STL, from a folder or an archive (files.py). Each format
-has a reader that makes parts in one plain form (parts.py); nothing behind them knows the format.
-Files are taken to be y up and facing +z, as glTF says and most OBJ files are; DAE files say which
-axis is up and are turned accordingly.
+Formats: OBJ (+MTL), glTF and GLB, PLY, DAE, OFF and STL, from a folder or an archive (files.py).
+The reader of each format makes parts in one common form (parts.py); nothing after that depends on
+the format. Files are taken to be y up and facing +z, as glTF specifies and as most OBJ files are.
+DAE files state their up axis and are rotated accordingly.
 """
 
 import io
@@ -34,19 +34,19 @@ logging.getLogger('trimesh').setLevel(logging.CRITICAL)
 
 
 def read_mesh(files: Files, name: str) -> TexturedMesh:
-  """Reads one mesh file.
+  """Reads a mesh file.
 
-  `missing` of the mesh lists the files and materials that it names in vain, `notes` what was
-  ignored or guessed.
+  The result's `missing` lists files and materials that are named but do not exist, its `notes` what
+  was ignored or guessed.
 
   Args:
-    files: the folder or archive that holds it and what it names.
-    name: of the mesh file in it.
+    files: the folder or archive with the file and all files that it names.
+    name: name of the mesh file.
 
   Raises:
-    UserError: the file cannot be read, names a file outside of `files` or a picture that cannot be
-      read, or holds no mesh that can be normalised.
-    MemoryError: it needs more than there is.
+    UserError: the file cannot be read, names a file outside of `files` or an unreadable image, or
+      holds no mesh that can be normalised.
+    MemoryError: it needs too much memory.
   """
   extension = posixpath.splitext(name)[1].lower()
   path = posixpath.join(files.path, name)
@@ -91,15 +91,15 @@ def _parts(content, extension, around):
 
 
 def _needed(around: Surroundings, uri):
-  """The content of a file without which there is no mesh."""
+  """The content of a file that the mesh cannot do without."""
   found = find_named(around, uri)
   if found is None:
-    raise UserError(f'it names {uri}, which is not there')
+    raise UserError(f'it names {uri}, which does not exist')
   return found[1]
 
 
 def _read_stl(content):
-  """An STL file, of whose colours no two programs think alike: it has none."""
+  """An STL file, without colours: programs disagree about their encoding."""
   # process=False: vertices stay as they are.
   mesh = trimesh.load_mesh(io.BytesIO(content), file_type='stl', process=False)
   faces = np.asarray(mesh.faces, np.int64)

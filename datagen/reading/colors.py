@@ -1,4 +1,4 @@
-"""Colours of files: of any type and range -> sRGB in [0, 1]."""
+"""Colours of any type and range -> sRGB in [0, 1]."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from datagen.reading import notes as notes_lib
 def as_rgba(colors: np.ndarray, notes: set[str] | None = None) -> np.ndarray:
   """[..., 3 or 4] of any type -> [..., 4] float32 in [0, 1].
 
-  Integers count to the most that their type holds, floats to 1. Floats beyond 2 and wider integers
-  that stay below 256 count to 255, as some programs write them; that is noted.
+  Integers are divided by their type's maximum; floats are taken as they are. Floats above 2, and
+  wide integers that stay below 256, are divided by 255, as some programs write them; that is noted.
 
   Args:
-    colors: the values, NaN taken as 0.
-    notes: to it the guess is added.
+    colors: the values; NaN becomes 0.
+    notes: set that gets a note of such a guess.
   """
   colors = np.asarray(colors)
   top = 1.0
@@ -36,7 +36,7 @@ def as_rgba(colors: np.ndarray, notes: set[str] | None = None) -> np.ndarray:
 
 
 def linear_to_srgb(rgba: np.ndarray) -> np.ndarray:
-  """IEC 61966-2-1's curve on the first three channels of [..., 4]."""
+  """The curve of IEC 61966-2-1 on the first three channels of [..., 4]."""
   rgb = rgba[..., :3]
   curve = np.where(
     rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-6) ** (1 / 2.4) - 0.055
@@ -45,7 +45,7 @@ def linear_to_srgb(rgba: np.ndarray) -> np.ndarray:
 
 
 def grey(faces: int) -> np.ndarray:
-  """[F, 3, 4] colours of faces that have none."""
+  """[F, 3, 4] colours of faces without colours."""
   colors = np.full((faces, 3, 4), NO_COLOR, np.float32)
   colors[..., 3] = 1
   return colors

@@ -1,7 +1,7 @@
-"""DAE (Collada) files, through pycollada -> parts, a part a primitive.
+"""DAE (Collada) files, read by pycollada -> parts, one for each primitive.
 
-A texture stands alone, and vertex colours stand beside no material's colour, as in OBJ files.
-Skins and morphs are taken in the pose that the file shows without animation.
+A texture replaces the material's colour, and so do vertex colours, as in OBJ files. Skins and
+morphs are taken in the pose that the file shows without animation.
 """
 
 import io
@@ -35,19 +35,19 @@ OPAQUE_FROM = {  # how a material's alpha follows from `transparent`, as Collada
 
 
 def read_dae(content: bytes, around: Surroundings) -> Iterator[Part]:
-  """The parts of the scene, one after the other, with y up.
+  """The parts of the scene, with y up.
 
   Args:
-    content: of the file, which `headers.check_dae` found to have an end.
-    around: its surroundings, where pictures are looked for.
+    content: the file's bytes, checked by `headers.check_dae`.
+    around: the file's surroundings, where images are searched for.
 
   Raises:
-    UserError: too many faces, or what `find_named` raises.
-    Exception: it is no such file.
+    UserError: too many faces. Errors of `find_named` are passed on.
+    Exception: it is not such a file.
   """
   document = collada.Collada(io.BytesIO(content), ignore=[common.DaeError])
   if document.xmlnode is None or not str(document.xmlnode.getroot().tag).endswith('COLLADA'):
-    raise UserError('it is no COLLADA document')
+    raise UserError('it is not a COLLADA document')
   up = re.search(rb'<up_axis>\s*([XZ])_UP', content)
   turn = UPRIGHT[up[1]] if up else np.eye(4)
   nodes = [] if document.scene is None else list(document.scene.nodes)
@@ -84,7 +84,7 @@ def _targets(node):
 
 
 def _joints(nodes, turn):
-  """What a joint is called, by any of its names -> [4, 4] to the world."""
+  """[4, 4] transforms of joints to the world, by each of the joint's names."""
   found: dict[str, np.ndarray] = {}
   todo = [(node, turn) for node in reversed(nodes)]
   while todo:
@@ -100,7 +100,7 @@ def _joints(nodes, turn):
 
 
 def _controlled(controller, joints, matrix, notes):
-  """(geometry, what moves its vertices or None, [4, 4] for all of it) of an instance_controller."""
+  """(geometry, motion of its vertices or None, [4, 4] for all of it) of an instance_controller."""
   notes.add(notes_lib.POSE)
   if isinstance(controller, Morph):
     return controller.source_geometry, None, matrix
@@ -139,7 +139,7 @@ def _controlled(controller, joints, matrix, notes):
 
 
 def _parts(document, geometry, node, move, around):
-  """The parts of one geometry with the materials of a node."""
+  """The parts of one geometry, with the materials of a node."""
   inputs = {m.symbol: m.inputs for m in node.materials}
   targets = _targets(node)
   for primitive in geometry.primitives:
@@ -174,7 +174,7 @@ def _parts(document, geometry, node, move, around):
 
 
 def _effect(document, targets, symbol, around):
-  """The effect behind a primitive's material symbol, or None."""
+  """The effect of a primitive's material symbol, or None."""
   target = targets.get(symbol)
   if target is None and symbol:
     target = document.materials.get(symbol)
@@ -200,7 +200,7 @@ def _values(primitive, semantic, nth, index, at, width):
 
 
 def _vertex_colors(primitive, index, at, notes):
-  """[F, 3, 4] or None; white all over is none."""
+  """[F, 3, 4], or None if there are none or all are white."""
   colors = _values(primitive, 'COLOR', 0, index, at, 3)
   if colors is None or (colors[..., :3] == 1).all():
     return None
@@ -209,7 +209,7 @@ def _vertex_colors(primitive, index, at, notes):
 
 
 def _dressed(vertices, faces, colors, effect, primitive, index, at, inputs, around):
-  """The part, with its material's colour and texture."""
+  """The part with its material's colour and texture."""
   count = len(faces)
   if effect is None:
     return Part(vertices, faces, grey(count) if colors is None else colors)
@@ -264,7 +264,7 @@ def _alpha(effect):
 
 
 def _picture(effect, shown, around):
-  """The `Picture` of a texture, or None where it is not there."""
+  """The `Picture` of a texture, or None if it does not exist."""
   found = find_named(around, str(shown.sampler.surface.image.path))
   if found is None:
     return None
@@ -289,7 +289,7 @@ def _picture(effect, shown, around):
 
 
 def _set_of(shown, primitive, inputs):
-  """Which of the primitive's texture coordinates a texture is laid by."""
+  """The set of texture coordinates that a texture uses."""
   given = primitive.sources.get('TEXCOORD') or []
   for semantic, _, number in inputs or []:
     if semantic == shown.texcoord:

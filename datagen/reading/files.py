@@ -1,6 +1,6 @@
-"""The files of a folder or of a zip archive, read one by one into memory; nothing is unpacked.
+"""The files of a folder or a zip archive, read one by one into memory; nothing is unpacked.
 
-Names have `/` between their parts. What strangers send stays where it is: a name that leaves the
+Names have `/` as separator. Files from strangers cannot reach other files: a name that leaves the
 folder, by `..`, an absolute path, a URL or a symbolic link, is refused, and so is a file that is,
 or unpacks to, more than `MAX_FILE` bytes.
 """
@@ -24,7 +24,7 @@ METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others make room for all
 
 
 class Files(NamedTuple):
-  """Where they are, their names, and how to read one."""
+  """A folder or archive: its names, and how to read a file."""
 
   path: str  # of the folder or archive
   names: Callable[..., list[str]]  # (folder='') -> all of them below it, sorted
@@ -35,9 +35,9 @@ class Files(NamedTuple):
 
 
 def folder_files(path: str) -> Files:
-  """The files of a folder and its subfolders, hidden ones left out.
+  """The files of a folder and its subfolders, except hidden ones.
 
-  The folder itself may be reached by a symbolic link; one within it must not lead out of it.
+  The folder itself may be a symbolic link; a link inside must not lead out of it.
   """
   root = os.path.realpath(path)
 
@@ -54,7 +54,7 @@ def folder_files(path: str) -> Files:
     plain = _inside(path, name)
     file = os.path.realpath(os.path.join(root, *plain.split('/')))
     if os.path.commonpath([root, file]) != root:
-      raise UserError(f'{name!r} leads out of {path}: what it names must be there')
+      raise UserError(f'{name!r} leads out of {path}: all files must be inside')
     if not os.path.isfile(file):  # a device or a pipe could be read forever
       raise FileNotFoundError(f'{path} has no file {name}')
     try:
@@ -82,12 +82,12 @@ def folder_files(path: str) -> Files:
 
 @contextlib.contextmanager
 def archive_files(path: str) -> Iterator[Files]:
-  """The files of a zip archive, open as long as the context is.
+  """The files of a zip archive, which stays open as long as the context.
 
-  A member whose name leads out of the archive is not there.
+  A member whose name leads out of the archive does not exist.
 
   Raises:
-    UserError: it is no zip archive, or has too many members.
+    UserError: it is not a zip archive, or has too many members.
   """
   with contextlib.ExitStack() as stack:
     try:
@@ -115,7 +115,7 @@ def archive_files(path: str) -> Iterator[Files]:
         raise FileNotFoundError(f'{path} has no file {name}')
       _check_size(path, name, info.file_size)  # no more than this is unpacked, even if it is a lie
       if info.compress_type not in METHODS:
-        raise UserError(f'{name} in {path} is packed by other means than deflate: pack it anew')
+        raise UserError(f'{name} in {path} is not compressed by deflate: make the archive again')
       try:
         with archive.open(info) as f:
           return f.read(info.file_size)
@@ -135,22 +135,22 @@ def archive_files(path: str) -> Iterator[Files]:
 
 
 def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
-  """The file that another one in `folder` calls `name`, with Windows' habits forgiven.
+  """The file that another file in `folder` calls `name`, with Windows' habits allowed.
 
-  Separators may be backslashes, and case and the spelling of accents may differ where no name
-  agrees exactly.
+  Separators may be backslashes. If no name agrees exactly, case and the encoding of accents may
+  differ.
 
   Args:
-    files: where to look.
-    folder: of the file that names it; '' is the topmost.
+    files: the files to search.
+    folder: folder of the file that names it; '' is the top.
     name: relative to that folder.
 
   Returns:
     (its name in `files`, its content).
 
   Raises:
-    FileNotFoundError: there is none.
-    UserError: it lies outside, is too large, or cannot be read.
+    FileNotFoundError: it does not exist.
+    UserError: it is outside, too large, or unreadable.
   """
   name = name.strip().replace('\\', '/')
   wanted = name if is_elsewhere(name) else posixpath.normpath(posixpath.join(folder, name))
@@ -164,17 +164,17 @@ def find(files: Files, folder: str, name: str) -> tuple[str, bytes]:
 
 
 def is_elsewhere(name: str) -> bool:
-  """Whether a name is an absolute path, of Windows too, or a URL."""
+  """Whether a name is an absolute path, also of Windows, or a URL."""
   return name.startswith('/') or re.match(r'[A-Za-z]:|[A-Za-z][\w+.-]+:/', name) is not None
 
 
 def _folded(name):
-  """What is the same for names that differ in case or in how accents are written."""
+  """A form that is the same for names that differ in case or in the encoding of accents."""
   return unicodedata.normalize('NFC', name).lower()
 
 
 def _plain(name):
-  """The name in its plain form; None where it leads out."""
+  """The normalised name; None if it leads out."""
   plain = posixpath.normpath(name)
   leaves = '\0' in name or is_elsewhere(name) or plain.split('/')[0] == '..'
   return None if leaves else plain
@@ -183,7 +183,7 @@ def _plain(name):
 def _inside(path, name):
   plain = _plain(name)
   if plain is None:
-    raise UserError(f'{name!r} leads out of {path}: what it names must be there')
+    raise UserError(f'{name!r} leads out of {path}: all files must be inside')
   return plain
 
 

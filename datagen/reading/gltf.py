@@ -1,8 +1,8 @@
-"""glTF 2.0 and GLB -> parts: float attributes, world transforms applied, a part a primitive.
+"""glTF 2.0 and GLB -> parts, one for each primitive: float attributes, in world coordinates.
 
-Shapes are those of the file's default scene without animation: node transforms, skins and morph
-weights as they are written. What is understood of the extensions is in `UNDERSTOOD`; a file that
-requires another one is refused by its name.
+The shape is that of the file's default scene without animation: node transforms, skins and morph
+weights as they are written. `UNDERSTOOD` lists the supported extensions; a file that requires
+another one is refused with its name.
 """
 
 import json
@@ -45,18 +45,18 @@ def read_gltf(
   get_picture: Callable[[str], bytes | None],
   notes: set[str],
 ) -> Iterator[Part]:
-  """The parts of the default scene, one after the other.
+  """The parts of the default scene.
 
   Args:
-    content: of the file.
-    get: the content of a file that it names; UserError where there is none.
-    get_picture: likewise, of a picture; None where there is none.
-    notes: to it are added the notes of what is ignored.
+    content: the file's bytes.
+    get: returns the content of a file that it names, or raises UserError.
+    get_picture: the same for an image; returns None if it does not exist.
+    notes: set that gets notes of what is ignored.
 
   Raises:
-    UserError: it is not glTF 2.0, needs what is not understood, its scene has no end or too many
-      faces, it declares data that it has not, or a picture cannot be read.
-    Exception: it is no such file.
+    UserError: it is not glTF 2.0, requires an unsupported extension, has an endless scene or too
+      many faces, declares data that are missing, or has an unreadable image.
+    Exception: it is not such a file.
   """
   header, blob = _chunks(content)
   document = Document(header, blob, get, {})
@@ -116,7 +116,7 @@ def _chunks(content):
 def _json_object(text):
   value = json.loads(text)
   if not isinstance(value, dict):
-    raise UserError('its header is no JSON object')
+    raise UserError('its header is not a JSON object')
   return value
 
 
@@ -130,18 +130,18 @@ def _check_version(header, notes):
       raise UserError(packed(name))
     if name == BASIS:
       raise UserError(
-        f'its textures are KTX2 pictures ({BASIS}), which cannot be read; convert them, for example'
+        f'its textures are KTX2 images ({BASIS}), which cannot be read; convert them, for example'
         ' with `gltf-transform ktxdecompress IN.glb OUT.glb`'
       )
     if name not in UNDERSTOOD:
-      raise UserError(f'it needs the extension {name}, which is not understood here')
+      raise UserError(f'it requires the extension {name}, which is not supported')
   for name in header.get('extensionsUsed', []):
     if name not in UNDERSTOOD and name not in (*PACKED, BASIS):
       notes.add(notes_lib.EXTENSION_IGNORED)
 
 
 def _roots(document):
-  """The nodes of the default scene; without scenes, those that are no other one's children."""
+  """The nodes of the default scene; without scenes, the nodes that are no other node's children."""
   scenes, nodes = items(document, 'scenes'), items(document, 'nodes')
   if scenes:
     return scenes[document.header.get('scene', 0)].get('nodes', [])
@@ -150,7 +150,7 @@ def _roots(document):
 
 
 def _check_size(document, roots):
-  """Counts the faces of the scene before any room is made for them."""
+  """Counts the faces of the scene before any memory is allocated for them."""
   accessors = items(document, 'accessors')
   faces = [
     sum(_count_faces(p, accessors) for p in mesh['primitives'])
@@ -171,14 +171,14 @@ def _check_size(document, roots):
 
 
 def _count_faces(primitive, accessors):
-  """At least as many as a primitive has."""
+  """A lower bound of the number of faces of a primitive."""
   name = primitive.get('indices', primitive['attributes'].get('POSITION'))
   corners = 0 if name is None else accessors[name]['count']
   return corners // 3 if primitive.get('mode', TRIANGLES) == TRIANGLES else corners
 
 
 def _part(document, primitive, weights, joints, get_picture, notes):
-  """A primitive's part in its mesh's frame, with joints in the world's; None where it is none."""
+  """A primitive's part in its mesh's frame (with joints, in the world's); None without faces."""
   attributes, mode = primitive['attributes'], primitive.get('mode', TRIANGLES)
   if mode < TRIANGLES:
     notes.add(notes_lib.NOT_TRIANGLES)
@@ -211,7 +211,7 @@ def _part(document, primitive, weights, joints, get_picture, notes):
 
 
 def _triangles(corners, mode):
-  """[F, 3] of a list of corners as triangles, a strip or a fan."""
+  """[F, 3] of a list of corners: triangles, a strip or a fan."""
   if mode == STRIP:
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
     faces[1::2] = faces[1::2][:, [1, 0, 2]]

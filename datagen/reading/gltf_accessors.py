@@ -1,4 +1,4 @@
-"""The numbers in a glTF file's buffers: accessors of any type, sparse and normalised ones too."""
+"""Numbers in a glTF file's buffers: accessors of any type, also sparse and normalised ones."""
 
 import base64
 import binascii
@@ -24,15 +24,15 @@ class Document(NamedTuple):
 
 
 def items(document: Document, key: str) -> list[dict[str, Any]]:
-  """A list of the header's, empty where it has none."""
+  """A list in the header, empty if it is missing."""
   return document.header.get(key) or []
 
 
 def view(document: Document, index: int) -> tuple[bytes, int]:
-  """(content, stride) of a buffer view; 0 where it has no stride.
+  """(content, stride) of a buffer view; the stride is 0 if none is given.
 
   Raises:
-    UserError: it reaches beyond its buffer.
+    UserError: it extends beyond its buffer.
   """
   described = items(document, 'bufferViews')[_natural(index)]
   if 'EXT_meshopt_compression' in described.get('extensions', {}):
@@ -41,12 +41,12 @@ def view(document: Document, index: int) -> tuple[bytes, int]:
   buffer = _buffer(document, described['buffer'])
   start, length = described.get('byteOffset', 0), described['byteLength']
   if not 0 <= start <= start + length <= len(buffer):
-    raise UserError(f'its buffer view {index} reaches beyond its buffer')
+    raise UserError(f'its buffer view {index} extends beyond its buffer')
   return buffer[start : start + length], described.get('byteStride', 0)
 
 
 def packed(extension: str) -> str:
-  """What to say of a file whose data an extension packs."""
+  """The error message for data compressed by an extension."""
   return (
     f'its meshes are packed with {extension}; unpack it first, for example with'
     ' `gltf-transform copy IN.glb OUT.glb`'
@@ -67,8 +67,8 @@ def raw_values(document: Document, index: int) -> np.ndarray:
   """The [count, width] values of an accessor in its own type.
 
   Raises:
-    UserError: it declares more than there is.
-    Exception: it is described wrongly.
+    UserError: it declares more values than there are.
+    Exception: its description is wrong.
   """
   described = items(document, 'accessors')[_natural(index)]
   dtype = np.dtype(TYPES[described['componentType']])
@@ -94,7 +94,7 @@ def raw_values(document: Document, index: int) -> np.ndarray:
 
 
 def _strided(content, start, stride, count, dtype, width):
-  """[count, width] values in bytes, each `stride` bytes after the one before."""
+  """[count, width] values from bytes, `stride` bytes apart."""
   size = dtype.itemsize * width
   stride = stride or size
   if _natural(start) + (count - 1) * _natural(stride) + size > len(content) and count:
@@ -117,7 +117,7 @@ def read_uri(document: Document, uri: str) -> bytes:
   """The content of a data URI or of a file beside this one.
 
   Raises:
-    UserError: there is no such file, or the data are not packed as they say.
+    UserError: there is no such file, or the data URI is damaged.
   """
   head, comma, text = uri.partition('base64,')
   if not (comma and head.startswith('data:')):
@@ -125,11 +125,11 @@ def read_uri(document: Document, uri: str) -> bytes:
   try:
     return base64.b64decode(text)
   except binascii.Error as e:
-    raise UserError(f'one of its data URIs is broken: {e}') from e
+    raise UserError(f'one of its data URIs is damaged: {e}') from e
 
 
 def _natural(number):
-  """A count or index that is none would be read from the end, or as a truth value."""
+  """Checks a count or index: negative ones would count from the end, bools pass as integers."""
   if not isinstance(number, int) or isinstance(number, bool) or number < 0:
-    raise UserError(f'it has {str(number)[:40]!r} in the place of an index or count')
+    raise UserError(f'it has {str(number)[:40]!r} instead of an index or count')
   return number

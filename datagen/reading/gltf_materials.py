@@ -1,11 +1,11 @@
-"""Materials of glTF files: the colour at each corner, the texture and where it lies.
+"""Materials of glTF files: the colour at each corner, the texture and its coordinates.
 
-Factors and vertex colours are linear and become sRGB; textures are sRGB already. Files written by
-trimesh are no exception, although it writes sRGB values there unconverted: every viewer shows such
-a file too light.
+Factors and vertex colours are linear and are converted to sRGB; textures are sRGB already. Files
+written by trimesh are no exception, although it writes sRGB values there unconverted: every viewer
+shows such files too light.
 
-Alpha counts only as far as the material's mode says so. OPAQUE has none, of vertices neither.
-MASK cuts holes. BLEND is glass, which is surface, except where next to nothing is left.
+The material's mode decides what alpha means. OPAQUE has none, not even of vertices. MASK cuts
+holes. BLEND is glass, which is surface unless it is almost invisible.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ MODES = {'OPAQUE': OPAQUE, 'MASK': MASK, 'BLEND': BLEND}
 
 
 def appearance(document, primitive, faces, get_picture, notes):
-  """A primitive's (corner colours [F, 3, 4], uv [F, 3, 2] or None, `Picture` or None)."""
+  """(corner colours [F, 3, 4], uv [F, 3, 2] or None, `Picture` or None) of a primitive."""
   attributes = primitive['attributes']
   vertex = None
   if 'COLOR_0' in attributes:
@@ -70,7 +70,7 @@ def _vertex_colors(document, index):
 
 
 def _color(material, has_vertex_colors):
-  """(linear RGBA [4], texture's description or None) of what a material's colour is taken from."""
+  """(linear RGBA [4], description of the texture or None) of a material."""
   model = material.get('pbrMetallicRoughness', {})
   older = material.get('extensions', {}).get('KHR_materials_pbrSpecularGlossiness')
   factor = _factor(model.get('baseColorFactor', (1, 1, 1, 1)))
@@ -93,12 +93,12 @@ def _color(material, has_vertex_colors):
 def _factor(value):
   factor = np.array(value, np.float64)
   if factor.shape != (4,):
-    raise UserError('a colour of its materials is none')
+    raise UserError('a colour in its materials is invalid')
   return np.nan_to_num(factor).clip(0, 1)
 
 
 def _picture(document, texture, mode, cutoff, get_picture):
-  """The `Picture` of a texture's description; None where it is not there."""
+  """The `Picture` for a texture's description; None if it does not exist."""
   described = items(document, 'textures')[texture['index']]
   extensions = described.get('extensions', {})
   sources = [extensions[name].get('source') for name in SOURCES if name in extensions]
@@ -119,7 +119,7 @@ def _picture(document, texture, mode, cutoff, get_picture):
     return None
   if is_ktx2(content):
     raise UserError(
-      f'its image {source} is a KTX2 picture (Basis), which cannot be read; convert it, for example'
+      f'its image {source} is in KTX2 format (Basis), which cannot be read; convert it, for example'
       ' with `gltf-transform ktxdecompress IN.glb OUT.glb`'
     )
   sampler = {}
@@ -130,7 +130,7 @@ def _picture(document, texture, mode, cutoff, get_picture):
 
 
 def _coordinates(document, texture, attributes, faces, notes):
-  """[F, 3, 2], v up; None where the primitive has no such coordinates."""
+  """[F, 3, 2], v up; None if the primitive has no such coordinates."""
   transform = texture.get('extensions', {}).get('KHR_texture_transform', {})
   name = f'TEXCOORD_{transform.get("texCoord", texture.get("texCoord", 0))}'
   if name not in attributes:

@@ -1,4 +1,4 @@
-"""Where the nodes of a glTF scene are, and how skins move their vertices: all without animation."""
+"""Positions of a glTF scene's nodes, and vertices moved by skins, all without animation."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from datagen.reading.gltf_accessors import Document, items, raw_values, values
 
 
 def local(node: dict) -> np.ndarray:
-  """[4, 4] of a node to its parent."""
+  """[4, 4] from a node to its parent."""
   if 'matrix' in node:
     return np.array(node['matrix'], np.float64).reshape(4, 4).T
   return _composed(
@@ -17,7 +17,7 @@ def local(node: dict) -> np.ndarray:
 
 
 def _composed(translation, rotation, scale):
-  """[N, 4, 4] from [N, 3], unit quaternions [N, 4] (x, y, z, w) and [N, 3]."""
+  """[N, 4, 4] from translations [N, 3], unit quaternions [N, 4] (x, y, z, w) and scales [N, 3]."""
   norm = np.linalg.norm(rotation, axis=1, keepdims=True)
   x, y, z, w = (rotation / np.where(norm > 0, norm, 1)).T
   matrix = np.tile(np.eye(4), (len(rotation), 1, 1))
@@ -34,7 +34,7 @@ def _composed(translation, rotation, scale):
 
 
 def worlds(document: Document) -> dict[int, np.ndarray]:
-  """Node -> [4, 4] to the world, by its one parent: of joints, which scenes need not hold."""
+  """[4, 4] from each node to the world, also for joints, which scenes need not contain."""
   nodes = items(document, 'nodes')
   if not items(document, 'skins'):
     return {}
@@ -63,7 +63,7 @@ def joint_matrices(document: Document, skin: int, worlds: dict[int, np.ndarray])
 
 
 def instances(document: Document, extension: dict) -> np.ndarray:
-  """[N, 4, 4] of the copies that EXT_mesh_gpu_instancing makes."""
+  """[N, 4, 4] of the copies of EXT_mesh_gpu_instancing."""
   given = {name: values(document, index) for name, index in extension['attributes'].items()}
   count = max((len(v) for v in given.values()), default=1)
   rest = {'TRANSLATION': (0, 0, 0), 'ROTATION': (0, 0, 0, 1), 'SCALE': (1, 1, 1)}
@@ -78,7 +78,7 @@ def instances(document: Document, extension: dict) -> np.ndarray:
 def skinned(
   document: Document, attributes: dict, vertices: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
-  """[V, 3] vertices as their joints [J, 4, 4] move them."""
+  """[V, 3] vertices moved by their joints [J, 4, 4]."""
   moved, total = np.zeros_like(vertices), np.zeros(len(vertices))
   for n in range(8):
     if f'JOINTS_{n}' not in attributes or f'WEIGHTS_{n}' not in attributes:

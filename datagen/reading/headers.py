@@ -1,7 +1,7 @@
-"""What a mesh file says of its scene, looked at before a library follows it.
+"""Checks of mesh files before a library reads them.
 
-A library that reads what a stranger wrote makes room for all that is declared, and walks a scene
-that has no end until memory has one.
+A library that trusts a stranger's file allocates all that it declares, and follows an endless scene
+until memory is full.
 """
 
 from collections import defaultdict
@@ -16,12 +16,12 @@ MAX_DEPTH = 256  # of XML elements within one another
 
 
 def check_dae(content: bytes) -> None:
-  """Looks through a DAE file.
+  """Checks a DAE file.
 
   Raises:
-    UserError: it has a DOCTYPE, whose entities might unpack to anything; it is nested too deeply;
-      its scene has no end or too many parts.
-    expat.ExpatError: it is no XML.
+    UserError: it has a DOCTYPE, whose entities might expand to anything; it is nested too deeply;
+      its scene is endless or has too many parts.
+    expat.ExpatError: it is not XML.
   """
   parser = expat.ParserCreate()
   path: list[Hashable] = []  # the elements that are open; a node's is what it is called
@@ -42,7 +42,7 @@ def check_dae(content: bytes) -> None:
       raise UserError(f'its elements are nested more than {MAX_DEPTH} deep')
 
   def doctype(*_):
-    raise UserError('it has a DOCTYPE, which no DAE file needs; remove it')
+    raise UserError('it has a DOCTYPE, which DAE files do not need: remove it')
 
   parser.StartElementHandler = start
   parser.EndElementHandler = lambda _: path.pop()
@@ -56,11 +56,11 @@ def check_dae(content: bytes) -> None:
 def count_instances(
   children: Mapping[Hashable, Sequence[Hashable]], own: Mapping[Hashable, int]
 ) -> int:
-  """The most that any node of a scene holds, all below it counted as often as it is there.
+  """The maximum over nodes of what a node contains, with everything below it counted for each use.
 
   Args:
-    children: node -> the nodes below it, one as often as it is used.
-    own: node -> what it holds itself.
+    children: node -> nodes below it, repeated for each use.
+    own: node -> what it contains itself.
 
   Raises:
     UserError: a node is below itself.

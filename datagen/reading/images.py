@@ -1,7 +1,7 @@
-"""Pictures that strangers send: looked at before they are unpacked, and made RGBA.
+"""Images from strangers: checked before they are decoded, and converted to RGBA.
 
-A file of some kilobytes can unpack to gigabytes, and some formats are programs (EPS): only formats
-of textures are read, and only so many pixels.
+A few kilobytes can decode to gigabytes, and some formats are programs (EPS). So only formats of
+textures are read, and only up to a number of pixels.
 """
 
 import io
@@ -20,10 +20,10 @@ MAX_PIXELS = 1 << 26  # of one picture: 8192 x 8192
 
 
 def check_image(content: bytes) -> None:
-  """Reads the header of a picture file.
+  """Reads the header of an image file.
 
   Raises:
-    UserError: it is no picture of one of the `FORMATS`, or has more than `MAX_PIXELS`.
+    UserError: it is not an image in one of the `FORMATS`, or has more than `MAX_PIXELS`.
   """
   with warnings.catch_warnings():
     warnings.simplefilter('ignore')  # of its size: that is what the check is about
@@ -31,30 +31,30 @@ def check_image(content: bytes) -> None:
       with PIL.Image.open(io.BytesIO(content), formats=FORMATS) as image:
         width, height = image.size
     except PIL.Image.DecompressionBombError as e:
-      raise UserError(f'is a picture of more than {MAX_PIXELS} pixels') from e
+      raise UserError(f'has more than {MAX_PIXELS} pixels') from e
     except MemoryError:
       raise
     except Exception as e:  # PIL's readers raise whatever a broken header leads them to
       if is_ktx2(content):
-        raise UserError('is a KTX2 picture (Basis), which cannot be read: make it a PNG') from e
-      raise UserError('is no picture that can be read: make it a PNG or a JPEG') from e
+        raise UserError('is in KTX2 format (Basis), which cannot be read: convert it to PNG') from e
+      raise UserError('is not a readable image: convert it to PNG or JPEG') from e
   if width * height > MAX_PIXELS:
-    raise UserError(f'is a picture of {width} x {height} pixels, more than {MAX_PIXELS}')
+    raise UserError(f'has {width} x {height} pixels, more than {MAX_PIXELS}')
 
 
 def is_ktx2(content: bytes) -> bool:
-  """Whether a file is a texture as graphics processors unpack it, which nothing here can."""
+  """Whether a file is a KTX2 texture, a GPU format that cannot be read here."""
   return content.startswith(KTX2)
 
 
 def to_rgba(image: PIL.Image.Image, max_side: int) -> np.ndarray:
-  """The first frame of a picture, shrunk by whole numbers until no side is longer than `max_side`.
+  """The first frame of an image, shrunk by whole factors until no side exceeds `max_side`.
 
   Returns:
     [H, W, 4] uint8.
 
   Raises:
-    OSError, ValueError: its data are broken.
+    OSError, ValueError: its data are damaged.
   """
   shrink = -(-max(image.size) // max_side)
   if image.mode[0] in 'IF':  # 16 or 32 bits, or floats: PIL would cut them off at 255

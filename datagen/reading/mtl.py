@@ -1,4 +1,4 @@
-"""MTL files as programs write them -> materials."""
+"""Materials of MTL files, as programs write them."""
 
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
@@ -14,7 +14,7 @@ _OPTIONS = {
 
 
 class Map(NamedTuple):
-  """A texture as an MTL file names it."""
+  """A texture in an MTL file."""
 
   name: str
   scale: tuple[float, float] = (1.0, 1.0)
@@ -23,7 +23,7 @@ class Map(NamedTuple):
 
 
 class Material(NamedTuple):
-  """What colours come from."""
+  """A material: its colour, alpha and textures."""
 
   name: str
   color: tuple[float, float, float] | None = None  # Kd as it is written
@@ -36,13 +36,13 @@ class Material(NamedTuple):
 def read_mtl(content: bytes, folder: str, notes: set[str]) -> list[Material]:
   """The materials of a file.
 
-  `d` is the alpha, `Tr` its complement; `Tr 1` is ignored, because some programs mean opaque by it.
-  `Kd` with one number is a grey.
+  `d` is the alpha, `Tr` its complement; `Tr 1` is ignored, because some programs write it for
+  opaque materials. `Kd` with one number is a grey.
 
   Args:
-    content: of the file.
-    folder: where it is.
-    notes: to it are added the notes of what is guessed.
+    content: the file's bytes.
+    folder: its folder.
+    notes: set that gets notes of guesses.
   """
   materials: list[Material] = []
   for line in read_text(content, notes).split(b'\n'):
@@ -73,14 +73,14 @@ def read_mtl(content: bytes, folder: str, notes: set[str]) -> list[Material]:
 
 
 def find_material(materials: Mapping[str, Material], name: str, notes: set[str]) -> Material | None:
-  """The material that a mesh means by a name.
+  """The material that a mesh names.
 
-  Blanks may differ, a comment may stand behind the name, and where only one fits, case may differ.
+  Blanks may differ, a comment may follow the name, and case may differ if only one material fits.
 
   Args:
     materials: by their names.
     name: as the mesh writes it.
-    notes: to it a guess is added.
+    notes: set that gets a note of a guess.
   """
   for n, fold in enumerate((_plain, _without_comment, _without_case)):
     found = [m for key, m in materials.items() if fold(key) == fold(name)]
@@ -104,7 +104,7 @@ def _without_case(name):
 
 
 def _map(rest):
-  """A `Map` of what follows `map_Kd`: options, then a name, which may have blanks."""
+  """A `Map` from the text after `map_Kd`: options, then a name that may contain blanks."""
   words = rest.split(b' ')
   found, at = Map(''), 0
   while at < len(words):
@@ -138,7 +138,7 @@ def _text(name):
 
 
 def _leading_numbers(words: Iterable[bytes]) -> list[float]:
-  """The words before the first one that is no number."""
+  """The words before the first one that is not a number."""
   numbers = []
   for word in words:
     try:

@@ -1,9 +1,9 @@
 """OBJ files as programs write them, with the materials of their MTL files -> a part.
 
-A texture stands alone: MTL's text says that `Kd` multiplies `map_Kd`, but exporters write there
-what the texture replaces (0 0 0, a grey, the texture's mean), and the product is far too dark.
-Vertex colours stand beside neither: where vertices have some, a material's colour is a default
-that the exporter wrote. Only white vertex colours, all over, leave it to the material.
+A texture replaces the material's colour. The MTL format says that `Kd` multiplies `map_Kd`, but
+exporters write there what the texture replaces (0 0 0, a grey, the texture's mean), and the product
+is far too dark. Vertex colours replace both, because a material beside them is an exporter's
+default; vertex colours that are white everywhere are ignored.
 """
 
 from collections import defaultdict
@@ -25,7 +25,7 @@ SHOWN = 60  # characters of a line in a message
 
 
 class _Faces(NamedTuple):
-  """P polygons of N corners; indices count from 1, 0 stands for none, -1 is the last so far."""
+  """P polygons with N corners; indices count from 1, 0 means none, -1 is the last one so far."""
 
   line: np.ndarray  # [P] its line in the file
   material: np.ndarray  # [P]
@@ -33,15 +33,15 @@ class _Faces(NamedTuple):
 
 
 def read_obj(content: bytes, around: Surroundings) -> Part:
-  """Reads one file.
+  """Reads a file.
 
   Args:
-    content: of the file.
-    around: its surroundings, where MTL files and pictures are looked for.
+    content: the file's bytes.
+    around: the file's surroundings, where MTL files and images are searched for.
 
   Raises:
-    UserError: a number that is none, a face of vertices that are not there, too many faces, or what
-      `find_named` raises.
+    UserError: an invalid number, a face with vertices that do not exist, or too many faces. Errors
+      of `find_named` are passed on.
   """
   content = read_text(content, around.notes)
   if b'\\\n' in content:
@@ -90,7 +90,7 @@ def read_obj(content: bytes, around: Surroundings) -> Part:
 
 
 def _numbers(lines, least, most):
-  """Lines of numbers behind a keyword -> arrays [n, width], in their order, a width each run."""
+  """Lines of numbers after a keyword -> arrays [n, width] in order, one for each run of a width."""
   if not lines:
     return []
   rows = [line.partition(b'#')[0].split()[1:] for line in lines]
@@ -110,7 +110,7 @@ def _numbers(lines, least, most):
       values = None
     if values is None:
       bad = next(n for n in range(first, last) if not _are_numbers(rows[n][:width]))
-      raise UserError(f'{_shown(lines[bad])} holds what is no number')
+      raise UserError(f'{_shown(lines[bad])} is not a line of numbers')
     found.append(values.reshape(-1, width))
   return found
 
@@ -163,25 +163,25 @@ def _parsed(group, lines):
   if not index[..., 0].all():
     bad = int(np.argmin(index[..., 0].all(1)))
     line = b'f ' + b' '.join(words[bad])
-    raise UserError(f'{_shown(line)} names a vertex that is not there')
+    raise UserError(f'{_shown(line)} names a vertex that does not exist')
   return _Faces(np.array(numbers), np.array(material), index)
 
 
 def _corner(word):
-  """`1/2/3`, with any of the last two left out -> (vertex, texture coordinate or 0)."""
+  """`1/2/3`, without any of the last two -> (vertex, texture coordinate or 0)."""
   first, _, rest = word.partition(b'/')
   second = rest.partition(b'/')[0]
   try:
     corner = int(first), int(second or 0)
   except ValueError as e:
-    raise UserError(f'{_shown(word)} is no corner of a face') from e
+    raise UserError(f'{_shown(word)} is not a corner of a face') from e
   if max(map(abs, corner)) >= 1 << 62:
-    raise UserError(f'{_shown(word)} names a vertex that is not there')
+    raise UserError(f'{_shown(word)} names a vertex that does not exist')
   return corner
 
 
 def _part(points, coordinates, faces, names, libraries, around):
-  """All that was read, put together."""
+  """Assembles everything that was read."""
   vertices = np.concatenate([np.zeros((0, 3)), *(p[:, :3] for p in points)])
   uv = np.concatenate(
     [np.zeros((0, 2)), *(np.concatenate([c, np.zeros_like(c)], 1)[:, :2] for c in coordinates)]
@@ -206,7 +206,7 @@ def _part(points, coordinates, faces, names, libraries, around):
 
 
 def _of_triangles(faces, place, corner):
-  """([T, 3, 2] indices, [T] materials) of triangles, which know their polygons' lines."""
+  """([T, 3, 2] indices, [T] materials) of triangles, given the lines of their polygons."""
   index = np.zeros((len(place), 3, 2), np.int64)
   material = np.zeros(len(place), np.int64)
   for polygons in faces:
@@ -219,9 +219,9 @@ def _of_triangles(faces, place, corner):
 
 
 def _vertex_colors(points, triangles, notes):
-  """[F, 3, 4] of colours behind the coordinates, NaN where there are none.
+  """[F, 3, 4] of the colours after the coordinates, NaN where there are none.
 
-  A corner that has no colour takes the mean of the face's others.
+  A corner without a colour takes the mean of the face's other corners.
   """
   if not any(p.shape[1] >= 6 for p in points):  # a fourth number alone is a weight
     return np.full((len(triangles), 3, 4), np.nan, np.float32)

@@ -1,4 +1,4 @@
-"""The materials of an OBJ file laid on its faces."""
+"""The materials of an OBJ file, applied to its faces."""
 
 import numpy as np
 
@@ -12,17 +12,17 @@ from datagen.reading.surroundings import Surroundings, find_named
 def named_materials(
   names: list[str], libraries: list[str], used: np.ndarray, around: Surroundings
 ) -> list[Material | None]:
-  """The material that each name means; one that is nowhere defined is added to `missing`.
+  """The material of each name; an undefined one is added to `missing`.
 
   Args:
-    names: as the OBJ file's `usemtl` has them, in its order.
-    libraries: as its `mtllib` has them.
-    used: [F] names' indices of the faces; -1 where a face has none.
-    around: its surroundings.
+    names: the names in the OBJ file's `usemtl` lines, in order.
+    libraries: the files in its `mtllib` lines.
+    used: [F] indices of the faces' names; -1 for a face without one.
+    around: the file's surroundings.
 
   Returns:
-    A `Material` or None for each name, and one more for faces without a name: the one material that
-    there is.
+    A `Material` or None for each name, and one more for faces without a name: the only material, if
+    there is just one.
   """
   found: dict[str, Material] = {}
   lost = False
@@ -77,9 +77,9 @@ def dressed(
 
   Args:
     part: its colours are those of its vertices, NaN where they have none.
-    uv: [F, 3, 2] as the file has them, NaN where a face has none.
+    uv: [F, 3, 2] as in the file, NaN where a face has none.
     material: [F] indices into `materials`; -1 is the last.
-    materials: of `named_materials`.
+    materials: from `named_materials`.
     around: the file's surroundings.
   """
   colors, count = part.colors, len(part.faces)
@@ -119,7 +119,7 @@ def dressed(
 
 
 def _picture(material, around):
-  """The `Picture` of a material, or None where it names none or none is there."""
+  """The `Picture` of a material, or None if it names none or none exists."""
   texture = mask = None
   if material.texture is not None:
     texture = find_named(around, material.texture.name, material.folder)

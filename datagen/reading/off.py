@@ -1,6 +1,6 @@
-"""OFF files and their kinds (COFF, NOFF, STOFF, 4OFF) -> a part.
+"""OFF files and their variants (COFF, NOFF, STOFF, 4OFF) -> a part.
 
-Vertex colours stand before face colours; alpha has no say.
+Vertex colours win over face colours; alpha is ignored.
 """
 
 import re
@@ -19,14 +19,14 @@ _KEYWORD = re.compile(rb'(ST)?(C)?(N)?(4)?(n)?OFF')
 
 
 def read_off(content: bytes, notes: set[str]) -> Part:
-  """Reads one file.
+  """Reads a file.
 
   Args:
-    content: of the file.
-    notes: to it are added the notes of what is guessed.
+    content: the file's bytes.
+    notes: set that gets notes of guesses.
 
   Raises:
-    UserError: it is no OFF file of text in three dimensions, or holds less than it declares.
+    UserError: it is not a three-dimensional OFF file in text form, or holds less than it declares.
   """
   lines = [line.partition(b'#')[0].strip() for line in read_text(content, notes).split(b'\n')]
   lines = [line for line in lines if line]
@@ -35,7 +35,7 @@ def read_off(content: bytes, notes: set[str]) -> Part:
     raise UserError('it has no header')
   rest = lines[0][match.end() :].strip()
   if rest.startswith(b'BINARY') or match[5]:
-    raise UserError('it is a binary OFF file, or not of three dimensions: save it as OFF text')
+    raise UserError('it is a binary OFF file, or not three-dimensional: save it as OFF text')
   lines = lines[1:] if not rest else [rest, *lines[1:]]
   try:
     vertex_count, face_count = (int(word) for word in lines[0].split()[:2])
@@ -70,7 +70,7 @@ def _vertices(lines, match, notes):
 
 
 def _rgba(words, notes):
-  """[n, 4] of three words each, which count to 255 where all of them are integers above 1."""
+  """[n, 4] from three words each, divided by 255 if all are integers and one exceeds 1."""
   values = _numbers([word for row in words for word in row]).reshape(-1, 3)
   whole = not any(b'.' in word or b'e' in word for row in words for word in row)
   if whole and values.max(initial=0) > 1:
@@ -84,7 +84,7 @@ def _part(vertices, vertex_colors, rows, notes):
     try:
       kinds.setdefault(int(row[0]), []).append(n)
     except ValueError as e:
-      raise UserError(f'{row[0].decode(errors="replace")[:20]!r} is no number of corners') from e
+      raise UserError(f'{row[0].decode(errors="replace")[:20]!r} is not a number of corners') from e
   polygons = []
   for count, places in kinds.items():
     if count < 3:
@@ -114,7 +114,7 @@ def _part(vertices, vertex_colors, rows, notes):
 
 
 def _face_colors(rows, notes):
-  """[F, 4], 0 where a face has none; None where none has one."""
+  """[F, 4], 0 for a face without a colour; None if no face has one."""
   words = [row[1 + int(row[0]) :] for row in rows]
   colored = [n for n, row in enumerate(words) if len(row) >= 3]
   if not colored:
@@ -128,4 +128,4 @@ def _numbers(words):
   try:
     return np.array(words, np.float64) if words else np.zeros(0)
   except ValueError as e:
-    raise UserError('it holds what is no number') from e
+    raise UserError('it contains something that is not a number') from e

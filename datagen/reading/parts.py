@@ -1,11 +1,11 @@
-"""The plain form of what every reader makes, and what becomes of it: a `TexturedMesh`.
+"""Parts, the common form of all readers, and their assembly to a `TexturedMesh`.
 
-A part has its vertices in the scene's frame, a colour at each corner of its faces in which those of
-material, vertex and face are multiplied already (sRGB), and pictures, each with its own sampler.
-The readers decide what a colour means; here pictures are unpacked, and what is invisible left out.
+A part has vertices in the scene's frame, a colour at each corner of its faces that already combines
+material, vertex and face colour (sRGB), and images with a sampler each. The readers decide what a
+colour means; here images are decoded and invisible faces left out.
 
-Corner alpha below 1 is glass; below `INVISIBLE_ALPHA` the face is a modeller's helper and left out.
-The same holds for each pixel of a picture whose alpha blends. One whose alpha masks has holes.
+Corner alpha below 1 is glass; a face below `INVISIBLE_ALPHA` is a modelling aid and left out. The
+same holds for each pixel of an image whose alpha blends. An image whose alpha masks has holes.
 """
 
 import io
@@ -30,7 +30,7 @@ OPAQUE, MASK, BLEND, UNKNOWN = 'opaque', 'mask', 'blend', 'unknown'  # what a pi
 
 
 class Picture(NamedTuple):
-  """A picture file as a texture."""
+  """An image file used as a texture."""
 
   content: bytes
   name: str  # for messages
@@ -53,7 +53,7 @@ class Part(NamedTuple):
 
 
 def placed(part: Part, matrix: np.ndarray) -> Part:
-  """A part moved by a [4, 4] matrix. One that mirrors turns the faces: they still look outwards."""
+  """A part moved by a [4, 4] matrix. If it mirrors, faces are flipped and still look outwards."""
   vertices = part.vertices @ matrix[:3, :3].T + matrix[:3, 3]
   if not np.linalg.det(matrix[:3, :3]) < 0:
     return part._replace(vertices=vertices)
@@ -66,18 +66,18 @@ def placed(part: Part, matrix: np.ndarray) -> Part:
 
 
 def assemble(parts: Iterable[Part], notes: set[str]) -> TexturedMesh:
-  """All parts as one mesh; not normalised, and not checked.
+  """Joins all parts to one mesh, not normalised and not checked.
 
-  Faces without area and invisible ones are left out. Where nothing would be left, alpha is ignored:
+  Faces without area and invisible faces are left out. If nothing would remain, alpha is ignored:
   nobody makes an invisible model.
 
   Args:
-    parts: of the scene, one after the other.
-    notes: to it are added the notes of what is ignored.
+    parts: the parts of the scene.
+    notes: set that gets notes of what is ignored.
 
   Raises:
-    UserError: a picture that cannot be read, textures that are too large together, or faces of
-      vertices that are not there.
+    UserError: an unreadable image, textures that are too large together, or faces with vertices
+      that do not exist.
   """
   columns: list[tuple] = [_EMPTY]
   textures: list[np.ndarray] = []
@@ -133,14 +133,17 @@ _EMPTY = (
 
 
 def _has_area(vertices, faces):
-  """[F] bool; true also for faces with NaN, which `check` is to see."""
+  """[F] bool; also True for faces with NaN, so that `check` finds them."""
   with np.errstate(invalid='ignore', over='ignore'):
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return (np.cross(b - a, c - a) != 0).any(-1)
 
 
 def _laid_on(part, slots, textures, wraps, notes):
-  """(colours, uv [F, 3, 2] float32, texture [F]) of a part; without uv a texture is its mean."""
+  """Colours, uv [F, 3, 2] float32 and texture [F] of a part.
+
+  A texture without texture coordinates becomes its mean colour.
+  """
   colors, count = part.colors, len(part.faces)
   uv, texture = np.zeros((count, 3, 2), np.float32), np.full(count, -1, np.int32)
   if not slots or part.texture is None:
@@ -162,7 +165,7 @@ def _laid_on(part, slots, textures, wraps, notes):
 
 
 def _near_zero(uv, wrap):
-  """Moves each face to the first tile: far from 0, float32 has no digits left for a texel."""
+  """Moves each face to the first tile: far from 0, float32 cannot resolve a texel."""
   uv = np.where(np.abs(uv) < 1e9, uv, 0)
   for axis, mode in enumerate(wrap):
     if mode == 'clamp':
@@ -175,7 +178,7 @@ def _near_zero(uv, wrap):
 
 
 def _pixels(picture, notes):
-  """[H, W, 4] uint8 of a picture, its alpha 0 in holes and 255 elsewhere."""
+  """[H, W, 4] uint8 of an image, with alpha 0 in holes and 255 elsewhere."""
   pixels = None if picture.color is not None else _opened(picture.content, picture.name)
   if picture.mask is not None:
     mask = _opened(picture.mask, picture.name)
@@ -217,4 +220,4 @@ def _opened(content, name):
   except MemoryError:
     raise
   except Exception as e:  # PIL's readers raise whatever broken data lead them to
-    raise UserError(f'{name} is a broken picture: {" ".join(str(e).split())[:100]}') from e
+    raise UserError(f'{name} is a damaged image: {" ".join(str(e).split())[:100]}') from e

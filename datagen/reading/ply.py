@@ -1,7 +1,7 @@
-"""PLY files, text and binary, with the names that programs give to their properties -> a part.
+"""PLY files, text and binary, with the property names that programs use -> a part.
 
-A texture stands alone, and so do vertex colours beside face colours, unless they are one colour all
-over. Alpha has no say: no PLY file says whether it should have one.
+A texture replaces other colours, and vertex colours replace face colours unless they are a single
+colour. Alpha is ignored, because no PLY file says what it means.
 """
 
 from itertools import pairwise
@@ -27,21 +27,22 @@ CORNERS = ('vertex_indices', 'vertex_index')
 
 
 def read_ply(content: bytes, around: Surroundings) -> Part:
-  """Reads one file.
+  """Reads a file.
 
   Args:
-    content: of the file.
-    around: its surroundings, where pictures are looked for.
+    content: the file's bytes.
+    around: the file's surroundings, where images are searched for.
 
   Raises:
-    UserError: it is no PLY file, holds less than it declares, or what `find_named` raises.
+    UserError: it is not a PLY file, or holds less than it declares. Errors of `find_named` are
+      passed on.
   """
   found, pictures = read_columns(content)
   return _part(found, pictures, around)
 
 
 def _part(found, pictures, around):
-  """The elements, put together."""
+  """Assembles the elements."""
   vertex, face = found.get('vertex'), found.get('face') or {}
   if vertex is None or not all(axis in vertex for axis in 'xyz'):
     raise UserError('it has no vertices with x, y and z')
@@ -64,7 +65,7 @@ def _part(found, pictures, around):
 
 
 def _triangles(found, face, vertices):
-  """(face [T], vertices [T, 3], face's corner [T, 3], starts of the faces' lists [F])."""
+  """(face [T], vertices [T, 3], the face's corners [T, 3], starts of the faces' lists [F])."""
   lists = next((face[n] for n in CORNERS if isinstance(face.get(n), tuple)), None)
   if lists is None:
     lists = next(
@@ -92,7 +93,7 @@ def _triangles(found, face, vertices):
 
 
 def _strips(lengths, index):
-  """[T, 3] of strips, within which -1 begins another one."""
+  """[T, 3] of strips; -1 begins another one."""
   if index.dtype.kind == 'u':
     index = index.view(index.dtype.str.replace('u', 'i'))
   index, found = index.astype(np.int64), [np.zeros((0, 3), np.int64)]
@@ -120,7 +121,7 @@ def _colors(columns, notes):
 
 
 def _chosen_colors(vertex, face, place, triangles, notes):
-  """[T, 3, 4], of the vertices or of the faces; None where neither have any."""
+  """[T, 3, 4] of the vertices or of the faces; None if neither have any."""
   of_vertex = _colors(vertex, notes)
   of_face = _colors(face, notes) if len(place) and place[0] >= 0 else None
   if of_vertex is not None and of_face is not None:
@@ -133,7 +134,7 @@ def _chosen_colors(vertex, face, place, triangles, notes):
 
 
 def _texture(vertex, face, place, triangles, corner, starts, pictures, around):
-  """(uv [T, 3, 2], texture [T], pictures); Nones where there is no picture."""
+  """(uv [T, 3, 2], texture [T], images); three None without an image."""
   shown, slots = [], []
   for name in pictures:
     found = find_named(around, name)

@@ -33,14 +33,14 @@ def read_columns(content: bytes) -> tuple[dict[str, dict], list[str]]:
   """Reads all elements.
 
   Args:
-    content: of the file.
+    content: the file's bytes.
 
   Returns:
-    ({element: {property: values [n] or, of a list, (lengths [n], values)}}, names of pictures);
-    elements' names are in the singular and in lower case.
+    ({element: {property: values [n] or, for a list, (lengths [n], values)}}, names of images);
+    names of elements are singular and in lower case.
 
   Raises:
-    UserError: it is no PLY file, or holds less than it declares.
+    UserError: it is not a PLY file, or holds less than it declares.
   """
   order, elements, pictures, body = _header(content)
   text = None
@@ -48,7 +48,7 @@ def read_columns(content: bytes) -> tuple[dict[str, dict], list[str]]:
     try:
       text = np.array(body.split(), np.float64)
     except ValueError as e:
-      raise UserError('it holds what is no number') from e
+      raise UserError('it contains something that is not a number') from e
   found, at = {}, 0
   for element in elements:
     _check_count(element, len(body) if text is None else len(text), at)
@@ -59,7 +59,7 @@ def read_columns(content: bytes) -> tuple[dict[str, dict], list[str]]:
 
 
 def _header(content):
-  """(byte order, elements, names of pictures, what follows)."""
+  """(byte order, elements, names of images, the rest of the file)."""
   match = re.search(rb'\bend_header[ \t]*(\r\n|\n|\r)', content[:MAX_HEADER])
   if not content.startswith(b'ply') or match is None:
     raise UserError('it has no header')
@@ -90,12 +90,12 @@ def _header(content):
     elif words[0] == 'comment' and words[1:2] and words[1].lower() == 'texturefile':
       pictures.append(line.split(None, 2)[2] if len(words) > 2 else '')
   if order is None:
-    raise UserError('its header says nothing of its format')
+    raise UserError('its header does not state its format')
   return order, elements, pictures, content[match.end() :]
 
 
 def _check_count(element, size, at):
-  """Each thing that is declared takes a byte, or a number, at the least."""
+  """Checks that the file is large enough: each declared item takes at least a byte, or a number."""
   if element.count and not element.properties:
     raise UserError(f'its {element.name} has no properties')
   if element.count > size - at:
@@ -103,7 +103,7 @@ def _check_count(element, size, at):
 
 
 def _read_text(element, values, at, _):
-  """({property: values [n] or, of a list, (lengths [n], values)}, the place behind them)."""
+  """({property: values [n] or, for a list, (lengths [n], values)}, the position after them)."""
   lists = [n for n, p in enumerate(element.properties) if p.length]
   width = len(element.properties)
   if not lists:
@@ -135,7 +135,7 @@ def _read_text(element, values, at, _):
 
 
 def _uniform(element, values, at):
-  """Text of which all lists are as long as in the first row, read at once; None if they are not."""
+  """Reads text whose lists all have the length of the first one; None if they do not."""
   if not element.count:
     return {p.name: (np.zeros(0, np.int64), np.zeros(0)) for p in element.properties}, at
   places, place = [], 0
@@ -175,7 +175,7 @@ def _joined(element, columns, lengths):
 
 
 def _typed(values, dtype):
-  """Text's numbers in the type that they are declared with, where they fit."""
+  """Numbers of a text in their declared type, if they fit."""
   kind = np.dtype(dtype)
   if kind.kind == 'f':
     return values
@@ -184,7 +184,7 @@ def _typed(values, dtype):
 
 
 def _read_binary(element, body, at, order):
-  """As `_read_text`, of bytes."""
+  """`_read_text` for binary files."""
   row = _binary_row(element, body, at, order)
   if row is not None:
     dtype, lengths = row
@@ -228,7 +228,7 @@ def _read_binary(element, body, at, order):
 
 
 def _binary_row(element, body, at, order):
-  """(the type of a row, lists' lengths by property) if all rows are like the first one."""
+  """(type of a row, lengths of lists by property) if all rows are like the first one."""
   fields, lengths, place = [], {}, at
   for n, p in enumerate(element.properties):
     dtype = np.dtype(order + p.dtype)

@@ -1,7 +1,7 @@
 """Polygons of any shape -> triangles.
 
-The diagonals of a polygon's first corner fill the notch of an L and the space between a chair's
-legs. Polygons out of which one of these leads are cut by other diagonals.
+A fan from a polygon's first corner fills the notch of an L and the space between a chair's legs. So
+polygons whose fan leaves the polygon are cut differently.
 """
 
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ _FLAT = 1e-4  # areas as a share of the polygon's that do not count
 
 
 def cut(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-  """Cuts polygons of as many corners each into triangles.
+  """Cuts polygons with the same number of corners into triangles.
 
-  A quad is cut by its other diagonal where it has to be.
+  A quad is cut along its other diagonal if necessary.
 
   Args:
     points: [P, N, 3] corners.
 
   Returns:
-    (polygon [T], corner [T, 3]): of each triangle, its polygon and which of its corners it has; in
-    the polygons' order.
+    (polygon [T], corner [T, 3]): the polygon of each triangle and its three corners there, in the
+    order of the polygons.
   """
   count, n = points.shape[:2]
   fan = np.stack([np.zeros(n - 2, np.int64), np.arange(1, n - 1), np.arange(2, n)], 1)
@@ -39,18 +39,18 @@ def cut(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def cut_mixed(
   vertices: np.ndarray, polygons: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Cuts polygons of several numbers of corners.
+  """Cuts polygons with different numbers of corners.
 
   Args:
     vertices: [V, 3].
-    polygons: (places [P] in the file, corners' vertices [P, N]) of those with N corners each.
+    polygons: for each N, (positions [P] in the file, vertices of the corners [P, N]).
 
   Returns:
-    (place [T], corner [T, 3]), in the order of places: of each triangle, the place of its polygon
-    and which of its corners it has.
+    (position [T], corner [T, 3]) in the order of positions: the polygon of each triangle and its
+    three corners there.
 
   Raises:
-    IndexError: a vertex that is not there.
+    IndexError: a vertex does not exist.
   """
   places, corners = [np.zeros(0, np.int64)], [np.zeros((0, 3), np.int64)]
   for place, index in polygons:
@@ -63,14 +63,14 @@ def cut_mixed(
 
 
 def triangulate(points: np.ndarray) -> list[tuple[int, int, int]]:
-  """Cuts a polygon into triangles by clipping its ears, one after the other.
+  """Cuts a polygon into triangles by ear clipping.
 
   Args:
     points: [N, 2] corners, anticlockwise. Holes are joined to the outline by edges there and back.
 
   Returns:
-    N - 2 triangles of corners' indices. Where a polygon crosses itself and has no ear, the rest is
-    cut by the diagonals of one corner.
+    N - 2 triangles of corner indices. If a polygon crosses itself and has no ear, the rest is cut
+    as a fan.
   """
   left, triangles, at, tried = list(range(len(points))), [], 0, 0
   while len(left) > 3 and tried < len(left):
@@ -85,7 +85,7 @@ def triangulate(points: np.ndarray) -> list[tuple[int, int, int]]:
 
 
 def _is_ear(points, left, a, b, c):
-  """Whether the corner b juts out and no other corner lies in its triangle."""
+  """Whether the corner b is convex and no other corner lies in its triangle."""
   corners = points[[a, b, c]]
   if _cross(corners[1] - corners[0], corners[2] - corners[1]) <= 0:
     return False
@@ -98,7 +98,7 @@ def _is_ear(points, left, a, b, c):
 
 
 def _spilling(points):
-  """[P] bool: polygons one of whose first corner's triangles looks the other way."""
+  """[P] bool: polygons whose fan from the first corner has a triangle of opposite orientation."""
   with np.errstate(invalid='ignore', over='ignore'):
     fan = np.cross(points[:, 1:-1] - points[:, :1], points[:, 2:] - points[:, :1])
     normal = fan.sum(1, keepdims=True)

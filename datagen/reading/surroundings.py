@@ -1,8 +1,8 @@
-"""The files that a mesh file names, found where it says or near by, never outside.
+"""The files that a mesh file names, found where it says or nearby, never outside.
 
-A name is looked for as it is written, with Windows' habits forgiven (datagen/reading/files.py). An
-absolute path or a URL is somebody else's: its last part alone is looked for, among the model's own
-files. So is the last part of a path that is not there, for archives that were unpacked otherwise.
+A name is looked up as written, with Windows' habits allowed (datagen/reading/files.py). Of an
+absolute path or a URL, only the last part is searched for, among the model's own files. The same is
+done for a relative path that does not exist, for archives that were unpacked differently.
 """
 
 import posixpath
@@ -18,7 +18,7 @@ PICTURE_FOLDERS = ('textures', 'texture', 'images', 'image', 'maps', 'materials'
 
 
 class Surroundings(NamedTuple):
-  """Where a mesh file is, and what was found out while it was read."""
+  """The location of a mesh file, and what was found while reading it."""
 
   files: Files
   folder: str  # of the mesh file; '' is the topmost
@@ -29,7 +29,7 @@ class Surroundings(NamedTuple):
 
 
 def surroundings(files: Files, name: str) -> Surroundings:
-  """Those of a mesh file called `name`."""
+  """The surroundings of the mesh file `name`."""
   stem = posixpath.splitext(posixpath.basename(name))[0]
   return Surroundings(files, posixpath.dirname(name), stem, set(), set(), {})
 
@@ -37,18 +37,18 @@ def surroundings(files: Files, name: str) -> Surroundings:
 def find_named(
   around: Surroundings, name: str, folder: str | None = None
 ) -> tuple[str, bytes] | None:
-  """Finds a file that the mesh file names, or one of the files that it names does.
+  """Finds a file that is named by the mesh file, or by a file that the mesh file names.
 
   Args:
-    around: the mesh file's surroundings; a file that is not there is added to `missing`.
-    name: as it is written: a relative path, an absolute one of any system, or a URI.
-    folder: where the name is to be looked for first; None for the mesh file's folder.
+    around: the mesh file's surroundings; a file that does not exist is added to `missing`.
+    name: as written: a relative path, an absolute path of any system, or a URI.
+    folder: folder to search first; None for the mesh file's folder.
 
   Returns:
     (its name below `around.files`, its content), or None.
 
   Raises:
-    UserError: a relative name leads out, or what is there cannot be read.
+    UserError: a relative name leads out, or the file cannot be read.
   """
   plain = name.strip().strip('"\'').strip()
   key = (plain, around.folder if folder is None else folder)
@@ -86,7 +86,7 @@ def _look(around, name, folder):
 
 
 def _near(around, folders):
-  """Folders in which pictures of a model are kept, if they are not where it says."""
+  """Folders in which a model's images are kept if they are not where it says."""
   for folder in folders:
     for name in (*PICTURE_FOLDERS, around.stem, f'{around.stem}_textures'):
       yield posixpath.join(folder, name)
@@ -97,20 +97,20 @@ def _near(around, folders):
 
 
 def read_text(content: bytes, notes: set[str]) -> bytes:
-  r"""A text as UTF-8 with lines that end in \n; without a mark at its start.
+  r"""A text decoded from UTF-8, with line ends \n and without a byte-order mark.
 
   Args:
-    content: UTF-8, UTF-16 with its mark, or any bytes, which are taken as Latin-1.
-    notes: to it that guess is added.
+    content: UTF-8, UTF-16 with its byte-order mark, or anything else, which is read as Latin-1.
+    notes: set that gets a note of that guess.
 
   Raises:
-    UserError: it starts as UTF-16 and is none.
+    UserError: it starts like UTF-16 and is not.
   """
   if content[:2] in (b'\xff\xfe', b'\xfe\xff'):
     try:
       content = content.decode('utf-16').encode()
     except UnicodeDecodeError as e:
-      raise UserError('it starts as UTF-16 text and is none: save it as UTF-8') from e
+      raise UserError('it starts like UTF-16 text but is not: save it as UTF-8') from e
   content = content.removeprefix(b'\xef\xbb\xbf')
   if not content.isascii():
     try:

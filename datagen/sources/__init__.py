@@ -1,9 +1,9 @@
-"""Where meshes come from: one module each, all with the same two functions.
+"""Sources of meshes: one module each, all with the same two functions.
 
-`list_models(category, input_dir, limit, seed) -> list[SourceModel]` names the models, quickly and
+`list_models(category, input_dir, limit, seed) -> list[SourceModel]` lists the models, quickly and
 in a stable order; `load(model) -> TexturedMesh` makes or reads one of them, not yet normalised.
-Both raise `UserError` for what the user can mend. A source that holds records instead of meshes has
-`read_record(model, azimuths=, image_size=, grid_size=) -> Record` in the place of `load`.
+Both raise `UserError` for problems that the user can solve. A source of records instead of meshes
+has `read_record(model, azimuths=, image_size=, grid_size=) -> Record` instead of `load`.
 """
 
 import importlib
@@ -21,7 +21,7 @@ SOURCES = {
 
 
 class SourceModel(NamedTuple):
-  """All that a worker process needs to make one model's mesh; it pickles."""
+  """Everything that a worker process needs to make one model's mesh; it can be pickled."""
 
   id: str  # unique in its data set, stable between runs, fit for a file's name
   category: str
@@ -37,5 +37,5 @@ class SourceModel(NamedTuple):
 
 
 def source(name: str) -> ModuleType:
-  """The module of the source called `name`, a key of `SOURCES`."""
+  """The module of a source, given a key of `SOURCES`."""
   return importlib.import_module(SOURCES[name])

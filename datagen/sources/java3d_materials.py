@@ -1,8 +1,8 @@
-"""The materials that Java 3D's OBJ loader knows without any MTL file.
+"""The materials that Java 3D's OBJ loader has built in.
 
-Sweet Home 3D's own models are painted with them: `usemtl amber` and no `mtllib`. The table holds
-their diffuse colours (`Kd`) in bytes, with an alpha (`d`) for glass. As in MTL files, `Kd` is what
-a screen shows: it is taken as sRGB.
+Sweet Home 3D's own models use them: `usemtl amber` without any `mtllib`. The table holds their
+diffuse colours (`Kd`) in bytes, with an alpha (`d`) for glass. As in MTL files, `Kd` is taken as
+sRGB.
 """
 
 import posixpath
@@ -42,10 +42,10 @@ yellow ffaa00  yellow_green 306800  yellowbrt ffc800  yelloworng e23f00
 
 
 def with_built_in_materials(files: Files) -> Files:
-  """The same files, where OBJ files know the built-in materials.
+  """The same files, in which OBJ files can use the built-in materials.
 
-  An OBJ file that names no MTL file gets one of them; in an MTL file they go before its own
-  materials, which replace those of the same name.
+  An OBJ file without an MTL file gets one with these materials. In an existing MTL file they come
+  first, so that its own materials replace those with the same name.
   """
 
   def read(name):
@@ -60,7 +60,7 @@ def with_built_in_materials(files: Files) -> Files:
 
 
 def _mtl():
-  """The table as an MTL file."""
+  """The table as the text of an MTL file."""
   words = _TABLE.split()
   lines = []
   for name, digits in zip(words[::2], words[1::2], strict=True):

@@ -17,10 +17,10 @@ COMPANIONS = ('.mtl', '.png', '.jpg', '.jpeg', '.bin')  # of a mesh among others
 def list_folders(
   category: str, input_dir: str, limit: int | None = None, seed: int = 0
 ) -> list[SourceModel]:
-  """As `list_models`, of the subfolder that is called as the category is.
+  """`list_models` of the subfolder that has the category's name.
 
   Raises:
-    UserError: there is none, or it holds no mesh file.
+    UserError: it does not exist, or holds no mesh file.
   """
   if (
     input_dir and os.path.isdir(input_dir) and not os.path.isdir(os.path.join(input_dir, category))
@@ -37,15 +37,15 @@ def list_models(
 ) -> list[SourceModel]:
   """The folder's mesh files in the order of their ids.
 
-  A file's id is its path below the folder, with `_` between the parts and without the extension;
-  files that would share an id this way get a checksum of their whole path behind it.
+  A file's id is its path below the folder without the extension, with `_` as separator; files that
+  would share an id get a checksum of the whole path at the end.
 
   Args:
-    category: what the caller calls them.
+    category: the category of all these models.
     input_dir: the folder.
-    limit: take the first so many; None or 0 takes all.
-    seed: not used, the files are what they are.
-    below: only what is in this subfolder.
+    limit: maximum number of models; None or 0 takes all.
+    seed: unused.
+    below: a subfolder, to list its files only.
 
   Raises:
     UserError: the folder does not exist or holds no mesh file.
@@ -82,10 +82,10 @@ def list_models(
 
 
 def _checksum(files: Files, name: str, alone: bool) -> str:
-  """Of a mesh file and of those that belong to it; '' where it cannot be read.
+  """A checksum of a mesh file and the files that belong to it; '' if it cannot be read.
 
-  A mesh that is alone in its folder has all that is there and below, but for other meshes; one
-  among others has what has its name with another extension.
+  To a mesh that is alone in its folder belongs everything there and below, except other meshes; to
+  one among others, the files with its name and another extension.
   """
   folder, stem = posixpath.dirname(name), posixpath.splitext(name)[0]
   if alone and folder:
@@ -107,7 +107,7 @@ def _checksum(files: Files, name: str, alone: bool) -> str:
 
 
 def load(model: SourceModel) -> TexturedMesh:
-  """Reads one mesh file.
+  """Reads a mesh file.
 
   Raises:
     UserError: the file cannot be read, or holds no mesh that can be normalised.

@@ -1,8 +1,7 @@
-"""The embedded source: objects built from a seed, so that everything runs without any download.
+"""Source `procedural`: objects built from a seed, so that everything runs without a download.
 
-Model i of a category under a seed is the same whatever the limit and the order in which models are
-made: its generator is seeded from (seed, category, i) alone. Objects stand upright (y up) and face
-+z.
+Model i of a category and seed is the same whatever the limit and the order, because its random
+generator is seeded from (seed, category, i) alone. Objects are y up and face +z.
 """
 
 import importlib
@@ -27,8 +26,8 @@ def list_models(
   Args:
     category: one of `CATEGORIES`.
     input_dir: must be empty; nothing is read.
-    limit: how many; None means `DEFAULT_LIMIT`.
-    seed: 0 or more; another seed gives other objects, with other ids.
+    limit: number of models; None means `DEFAULT_LIMIT`.
+    seed: 0 or more; another seed gives other objects with other ids.
 
   Returns:
     Models in a stable order; a shorter list is the beginning of a longer one.
@@ -38,9 +37,9 @@ def list_models(
   """
   if category not in CATEGORIES:
     known = ', '.join(CATEGORIES)
-    raise UserError(f'the procedural source has no category {category!r}; it makes: {known}')
+    raise UserError(f'--source=procedural has no category {category!r}: choose one of {known}')
   if input_dir:
-    raise UserError(f'the procedural source reads no folder: leave out {input_dir!r}')
+    raise UserError(f'--source=procedural reads no input: leave out --input={input_dir}')
   if seed < 0:
     raise UserError(f'the seed must be 0 or more, not {seed}')
   if limit is not None and limit < 1:
@@ -58,12 +57,12 @@ def list_models(
 
 
 def load(model: SourceModel) -> TexturedMesh:
-  """Builds a model's mesh from its seed alone."""
+  """Builds a model's mesh from its seed."""
   shapes = importlib.import_module(f'datagen.sources.shapes.{model.category}')
   return assemble(shapes.build(np.random.default_rng(model.seed)))
 
 
 def _model_seed(seed: int, category: str, index: int) -> int:
-  """A 64-bit seed of its own for each model."""
+  """A separate 64-bit seed for each model."""
   entropy = np.random.SeedSequence([seed, zlib.crc32(category.encode()), index])
   return int(entropy.generate_state(1, np.uint64)[0])

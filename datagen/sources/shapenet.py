@@ -1,18 +1,18 @@
-r"""Source `shapenet`: ShapeNetCore, version 1 or 2, as it is downloaded.
+r"""Source `shapenet`: ShapeNetCore, version 1 or 2, as downloaded.
 
-`--input` is the folder that holds, for each category, a folder or a zip archive with the name of
-its WordNet synset, `03001627` or `03001627.zip`; or it is one of these itself. Archives are read
-as they are. Below the synset, each model has a folder; its name is the model's id, here too:
+`--input` is a folder with, for each category, a folder or a zip archive named after its WordNet
+synset (`03001627` or `03001627.zip`); or it is one of these itself. Archives are read without
+unpacking. Below the synset, each model has a folder whose name is the model's id, here as well:
 
   version 1: <synset>/<id>/model.obj
   version 2: <synset>/<id>/models/model_normalized.obj
 
-Of version 1, the README that comes with it says that "the up direction is the +Y axis, and the
-front is the +X axis", of version 2 that the front "is the -Z axis". Models are turned to face +z.
+The README of version 1 says that "the up direction is the +Y axis, and the front is the +X axis",
+that of version 2 that the front "is the -Z axis". Models are turned to face +z.
 
-Textures lie beside the MTL file, in `../images` or elsewhere below the model's folder, and MTL
-files name them by paths that may be those of their authors' machines (`C:\Users\...`). Where a path
-leads to no file, a file of the same name anywhere below the model's folder is taken.
+Textures are beside the MTL file, in `../images` or elsewhere below the model's folder. MTL files
+may name them by paths on their authors' machines (`C:\Users\...`). If a path leads to no file, a
+file of the same name anywhere below the model's folder is taken.
 """
 
 import contextlib
@@ -40,13 +40,14 @@ def list_models(
 ) -> list[SourceModel]:
   """The models of a category in the order of their ids.
 
-  In a folder, every subfolder is taken for a model: looking into fifty thousand of them takes long.
+  Every subfolder of a folder is taken to be a model, because checking fifty thousand of them takes
+  long.
 
   Args:
     category: a key of `SYNSETS`, or the eight digits of any synset.
-    input_dir: where ShapeNet is.
-    limit: take the first so many; None or 0 takes all.
-    seed: not used, the files are what they are.
+    input_dir: folder of ShapeNet.
+    limit: maximum number of models; None or 0 takes all.
+    seed: unused.
 
   Raises:
     UserError: no such category, or the input holds none of its models.
@@ -110,7 +111,7 @@ def load(model: SourceModel) -> TexturedMesh:
   """Reads one model, turned to face +z.
 
   Raises:
-    UserError: there is no mesh, it cannot be read, or it cannot be normalised.
+    UserError: it has no mesh, or one that cannot be read or normalised.
   """
   if model.detail is not None:
     files, name = _archive(model.path), model.detail
@@ -135,13 +136,13 @@ def _archive(path: str) -> Files:
 
 @functools.lru_cache(maxsize=2)  # a worker goes from one category to the next
 def _opened(path: str) -> tuple[contextlib.ExitStack, Files]:
-  """An archive that stays open: to read the table of its hundred thousand files takes seconds."""
+  """An archive that stays open: reading the table of its hundred thousand files takes seconds."""
   stack = contextlib.ExitStack()
   return stack, stack.enter_context(archive_files(path))
 
 
 def _forgiving(files: Files, folder: str) -> Files:
-  """The files, where one that is not where it should be is looked for by its bare name."""
+  """The files, with a search by bare name for those that are not where they should be."""
 
   @functools.cache
   def places():

@@ -1,12 +1,12 @@
 """Source `sweethome3d`: furniture libraries of Sweet Home 3D, and the models of the program itself.
 
-A category is chosen by the pieces' names in the catalogue, and by their tags, since a Ford Focus
-does not say that it is a car. `--category=NAME` takes those of `CATEGORIES`, and
-`--category='NAME=PATTERN'` all pieces in whose names the regular expression is found.
+A category selects pieces by their names in the catalogue, and by their tags, since the name of a
+Ford Focus does not say that it is a car. `--category=NAME` selects one of `CATEGORIES`,
+`--category='NAME=PATTERN'` all pieces with the regular expression in their names.
 
-The catalogue's rotation sets a model upright (y) and to the front (+z), and its size stretches it,
-as the program does with all that it shows. Variants of one model, a table in three woods or a car
-in two trims, have names that begin alike; they are kept together in one split.
+The catalogue's rotation makes a model upright (y) and turns it to the front (+z); the catalogue's
+size stretches it, as in the program. Variants of one model, such as a table in three woods or a car
+in two trims, have names with the same beginning and stay in one split.
 """
 
 import os
@@ -33,7 +33,7 @@ _NEVER = '(?!)'
 
 
 class Choice(NamedTuple):
-  """Which pieces are of a category: regular expressions, in which case does not matter."""
+  """The pieces of a category: regular expressions, ignoring case."""
 
   name: str  # found in the name
   tag: str = _NEVER  # or the whole of a tag
@@ -56,17 +56,17 @@ def list_models(
 ) -> list[SourceModel]:
   """The pieces of a category, library by library.
 
-  An id is the catalogue's own, `Library_piece`. Pieces that share one, as where a folder holds two
-  versions of a library, get a checksum behind it.
+  An id is the catalogue's own, `Library_piece`. Pieces that share an id, for example from two
+  versions of a library, get a checksum at the end.
 
   Args:
-    category: one of `CATEGORIES`, or a name with a pattern, as 'sofa=sofa|couch'.
-    input_dir: a library, or a folder that has some in it or in its subfolders.
-    limit: take the first so many; None takes all.
-    seed: not used, the models are what they are.
+    category: one of `CATEGORIES`, or a name with a pattern such as 'sofa=sofa|couch'.
+    input_dir: a library, or a folder with libraries in it or in its subfolders.
+    limit: maximum number of models; None takes all.
+    seed: unused.
 
   Raises:
-    UserError: an unknown category, a pattern that is none, or no library that can be read.
+    UserError: an unknown category, an invalid pattern, or no readable library.
   """
   del seed
   name, choice = _choice(category)
@@ -98,7 +98,7 @@ def list_models(
 
 
 def load(model: SourceModel) -> TexturedMesh:
-  """Reads a piece's model, turned and stretched as its catalogue says.
+  """Reads a piece's model, rotated and stretched as its catalogue says.
 
   Raises:
     UserError: it cannot be read, or the catalogue's numbers make no sense.
@@ -106,7 +106,9 @@ def load(model: SourceModel) -> TexturedMesh:
   piece = model.detail
   if not piece.model.lower().endswith(EXTENSIONS):
     known = ' '.join(EXTENSIONS)
-    raise UserError(f'{model.path}: {piece.model or "no model"} is none of the kinds read: {known}')
+    raise UserError(
+      f'{model.path}: {piece.model or "no model"} is not in a supported format: {known}'
+    )
   with archive_files(model.path) as files:
     mesh = read_mesh(with_built_in_materials(files), piece.model)
   return place(mesh, piece)
@@ -116,14 +118,14 @@ def place(mesh: TexturedMesh, piece: Piece) -> TexturedMesh:
   """Applies the catalogue's rotation and size; both may be missing.
 
   Raises:
-    UserError: the rotation is none, or the size is not positive.
+    UserError: the rotation is not one, or the size is not positive.
   """
   vertices = mesh.vertices
   if piece.rotation:
     rotation = _numbers(piece, 'modelRotation', piece.rotation.split(), 9).reshape(3, 3)
     is_one = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-2)
     if not is_one or np.linalg.det(rotation) < 0:
-      raise UserError(f'{piece.model}: modelRotation is no rotation: {piece.rotation}')
+      raise UserError(f'{piece.model}: modelRotation is not a rotation: {piece.rotation}')
     vertices = vertices @ rotation.T
   if any(piece.size):
     size = _numbers(piece, 'width, height and depth', piece.size, 3)
@@ -135,7 +137,7 @@ def place(mesh: TexturedMesh, piece: Piece) -> TexturedMesh:
 
 
 def _numbers(piece, key, texts, count):
-  """[count] finite numbers of a catalogue's key."""
+  """[count] finite numbers of a key in the catalogue."""
   try:
     numbers = np.array([float(text) for text in texts])
   except ValueError:
@@ -146,21 +148,21 @@ def _numbers(piece, key, texts, count):
 
 
 def _choice(category):
-  """(name, what to choose) of a category as the user gives it."""
+  """(name, choice of pieces) of a category given by the user."""
   name, given, pattern = (part.strip() for part in category.partition('='))
   if not given and name in CATEGORIES:
     return name, CATEGORIES[name]
   if not given:
     raise UserError(
-      f'--source=sweethome3d knows the categories {", ".join(CATEGORIES)}, not {name!r}; for others'
-      f" give a regular expression of names: --category='{name}=PATTERN'"
+      f'--source=sweethome3d has the categories {", ".join(CATEGORIES)}, not {name!r}; for others'
+      f" give a regular expression for their names: --category='{name}=PATTERN'"
     )
   if not name or not pattern:
     raise UserError(f"--category={category} must be 'NAME=PATTERN'")
   try:
     re.compile(pattern)
   except re.error as e:
-    raise UserError(f'--category={category}: {pattern!r} is no regular expression: {e}') from e
+    raise UserError(f'--category={category}: {pattern!r} is not a regular expression: {e}') from e
   return name, Choice(pattern)
 
 
@@ -171,7 +173,7 @@ def _is_chosen(piece, choice):
 
 
 def _catalogues(path):
-  """[(library, its pieces)] of a library, or of all in a folder, sorted by path."""
+  """[(library, its pieces)] of a library, or of all libraries in a folder, sorted by path."""
   if not path:
     raise UserError(f'--source=sweethome3d needs --input: {HELP}')
   if not os.path.exists(path):
@@ -194,9 +196,9 @@ def _catalogues(path):
 
 
 def family(model):
-  """What variants of a model have in common: of the words of each name in its path, the first two.
+  """The name that variants of a model share: the first two words of each part of its path.
 
-  'wooden_office_pear_table/table.obj' and 'wooden_office_teak_table/table.obj' are of one family.
+  'wooden_office_pear_table/table.obj' and 'wooden_office_teak_table/table.obj' are one family.
   """
   return re.sub(r'([^-_ /]+[-_ ][^-_ /]+)[-_ ][^/]*', r'\1', posixpath.splitext(model)[0])
 
@@ -206,5 +208,5 @@ def _stem(path):
 
 
 def _plain(text):
-  """Text of letters, digits, dots and dashes, with underscores for anything else."""
+  """The text with underscores for everything but letters, digits, dots and dashes."""
   return re.sub(r'[^A-Za-z0-9.-]+', '_', text).strip('_.')

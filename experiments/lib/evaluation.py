@@ -4,6 +4,7 @@ The options identify an evaluation: it is reused only if all of them are the sam
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from absl import flags
@@ -35,6 +36,8 @@ class Settings(NamedTuple):
   baselines: bool
   retrieval: bool
   pictures: bool
+  reference_data: str | None = None
+  reference_source: Sequence[str] = ()
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -79,6 +82,19 @@ def define_flags(f: flags.FlagValues) -> None:
     'Compare pictures of the results from all azimuths; needs --shape and --color.',
     **own,
   )
+  flags.DEFINE_string(
+    'reference_data',
+    None,
+    'Data set whose splits val and train provide thresholds, alpha, baselines and retrieval; --data'
+    ' itself by default.',
+    **own,
+  )
+  flags.DEFINE_list(
+    'reference_source',
+    [],
+    'Sources of the models of its split val; all of --reference_data by default, or --source.',
+    **own,
+  )
   flags.DEFINE_string('json', None, 'File for the numbers.', **own)
   flags.mark_flag_as_required('data', f)
   flags.register_validator('alpha', is_alpha, "must be in (0, 1], or 'val'", f)
@@ -106,9 +122,17 @@ def make_options(s: Settings, dataset: Dataset) -> dict[str, Any]:
     row for split in SPLITS for row in data.select_rows(dataset, split, categories=s.category)
   ]
   networks = {'shape': s.shape, 'color': s.color}
+  reference = {}
+  if s.reference_data:
+    other = open_dataset(s.reference_data)
+    used = [row for split in ('train', 'val') for row in data.select_rows(other, split)]
+    reference = {'reference_data': other.root, 'reference_digest': digest(other, used)}
+  if s.reference_source:
+    reference['reference_source'] = list(s.reference_source)
   return {
     'data': dataset.root,
     'data_digest': digest(dataset, rows),
+    **reference,
     **{name: getattr(s, name) for name in STORED},
     'runs': {kind: describe_run(workdir) for kind, workdir in networks.items() if workdir},
   }

@@ -72,7 +72,7 @@ def read_body(path: str) -> BodyData:
       raise UserError(f'{path}: {e}') from e
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as e:
       reason = f'{type(e).__name__}: {e}'
-      raise UserError(f'{path}: MakeHuman data that cannot be read: {reason}') from e
+      raise UserError(f'{path}: the MakeHuman data cannot be read: {reason}') from e
 
 
 def parse_obj(text: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
