@@ -40,4 +40,9 @@ def test_the_process_ends_with_the_status(monkeypatch, capsys):
   monkeypatch.setattr(cli.errors, 'run', run)
   monkeypatch.setattr(cli.environment, 'prepare', lambda: seen.append('prepared'))
   flags.FLAGS.mark_as_parsed()
-  assert main() == 2 and seen == ['prepared', 1]
+  assert main() == 2 and seen == [1, 'prepared']
+  joined = cli.program(define_flags, start=lambda f: seen.append(f['count'].value))(lambda f: 0)
+  monkeypatch.setattr(flags, 'FLAGS', flags.FlagValues())
+  flags.FLAGS.mark_as_parsed()
+  assert joined() == 0 and seen[2:] == [1, 1, 'prepared']  # before what looks at the devices
+  assert joined([]) == 0 and len(seen) == 5
