@@ -185,10 +185,6 @@ MUTANTS = {
         'distance[order] > claims.distance[at[order]]',
       ),
       ('ok[ok] = is_surface(mesh, face[ok], barycentric[ok])', 'ok[ok] = True'),
-      (
-        'order = (base[:, None] + np.array([[2, 0, 1]])) % 3',
-        'order = (base[:, None] + np.array([[0, 1, 2]])) % 3',
-      ),
       ('share = 2 * s * area[f]', 'share = area[f]'),
       ('share[~seen[f]] *= UNSEEN', 'share[seen[f]] *= UNSEEN'),
       (

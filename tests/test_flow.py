@@ -306,6 +306,16 @@ def test_a_voxel_out_of_the_frame_is_occluded():
   np.testing.assert_allclose(flows.flow[0, 1], [0.9, 0.9], rtol=1e-6)
 
 
+def test_an_image_that_is_not_square():
+  """u is a share of its width and v of its height."""
+  rgba, depth = np.zeros((1, 5, 9, 4), np.uint8), np.full((1, 5, 9), np.inf, np.float32)
+  rgba[0, 4, 8], depth[0, 4, 8] = (*GREY, 255), 1
+  flows = target_flows(
+    centers([[8, 8, 8]]), np.array([GREY], np.uint8), rgba, depth, [CAMERA], grid_size=16
+  )
+  np.testing.assert_allclose(flows.flow[0, 0], [8.5 / 9, 4.5 / 5], rtol=1e-6)
+
+
 def test_bad_input():
   rgba, depth = canvas({(2, 2): GREY})
   point, color = np.zeros((3, 3)), np.zeros((3, 3), np.uint8)

@@ -79,8 +79,8 @@ def test_counts_in_the_first_line():
     (off(faces=['3 0 1 4']), 'out of bounds'),
     (off(faces=['3 0 1 -1']), 'out of bounds'),
     (off(faces=['4 0 1 2']), 'has fewer'),
-    (off(faces=['x 0 1 2']), 'no number of corners'),
-    (off(faces=['3 0 1 x']), 'no number'),
+    (off(faces=['x 0 1 2']), 'not a number of corners'),
+    (off(faces=['3 0 1 x']), 'not a number'),
     (b'OFF\n1 1 0\n0 0\n3 0 0 0\n', 'too few numbers'),
   ],
 )

@@ -140,7 +140,7 @@ def test_coordinates_of_vertices(tmp_path, names):
   [
     (b'ply\nformat ascii 1.0\n', 'no header'),
     (b'off\nend_header\n', 'no header'),
-    (b'ply\nend_header\n', 'nothing of its format'),
+    (b'ply\nend_header\n', 'does not state its format'),
     (header('ascii', FACE) + text(QUAD), 'no vertices'),
     (header('ascii', ('vertex', 4, *XYZ)) + text(ROWS), 'cloud of points'),
     (header('ascii', ('vertex', -4, *XYZ)), 'declares -4'),

@@ -35,13 +35,15 @@ def program(
     def main(argv: Sequence[str] | None = None) -> int | None:
       if argv is not None:
         return body(parse(define_flags, argv))
+      if computes:
+        environment.prepare()
       define_flags(flags.FLAGS)
 
       def run(_):
-        if start is not None:  # first: the other settings look at the devices
+        if start is not None:
           start(flags.FLAGS)
         if computes:
-          environment.prepare()
+          environment.check_platforms()
         return body(flags.FLAGS)
 
       return errors.run(run)
