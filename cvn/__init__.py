@@ -3,7 +3,7 @@
   conventions   grid (voxels), camera (views), errors, files
   mathematics   sampler, blending, losses, metrics, carving, boundary
   networks      networks, layers, surface (heads at surface voxels), ops (the layers' operations)
-  training      recipe, objectives, train, checkpoint
+  training      recipe, objectives, train, checkpoint, parallel (devices and processes)
   data          dataset (on disk), data (batches), augment
   inference     infer (views to coloured voxels), readouts, photo (an image file to a view),
                 novelty (how far an image is from those of training)
@@ -41,6 +41,7 @@ __all__ = (
   'novelty',
   'objectives',
   'ops',
+  'parallel',
   'photo',
   'readouts',
   'recipe',

@@ -14,6 +14,7 @@ and the next step donates the buffers that would be read.
 import contextlib
 import json
 import os
+import shutil
 from collections.abc import Mapping
 from typing import Any
 
@@ -96,11 +97,7 @@ def read_config(workdir: str) -> dict[str, Any]:
 
 def latest_step(workdir: str) -> int | None:
   """The step of the newest checkpoint, None where there is none yet."""
-  try:
-    names = os.listdir(os.path.join(workdir, 'checkpoints'))
-  except OSError:
-    return None
-  return max((int(n) for n in names if n.isdecimal()), default=None)
+  return max(_steps(workdir), default=None)
 
 
 def save(workdir: str, state: Any, progress: dict[str, Any]) -> None:
@@ -131,19 +128,20 @@ def save(workdir: str, state: Any, progress: dict[str, Any]) -> None:
     raise UserError(f'cannot write a checkpoint to {checkpoints}: {_reason(e)}') from e
 
 
-def restore(workdir: str, template: Any) -> tuple[Any, dict[str, Any]] | None:
+def restore(
+  workdir: str, template: Any, *, last_good: bool = False
+) -> tuple[Any, dict[str, Any]] | None:
   """The state and the progress of the newest checkpoint; None where there is none yet.
 
   Args:
     workdir: the run's folder.
     template: a TrainState of the same structure, shapes and shardings as the result's.
+    last_good: whether to take an older checkpoint if the newest is damaged. The damaged one is
+      moved to WORKDIR/damaged-<step>, and a line says so.
 
   Raises:
     UserError: the checkpoint is damaged, or of another version.
   """
-  step = latest_step(workdir)
-  if step is None:
-    return None
 
   def as_abstract(x):
     return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=x.sharding)
@@ -162,7 +160,18 @@ def restore(workdir: str, template: Any) -> tuple[Any, dict[str, Any]] | None:
       loaded |= ocp.load_checkpointables(path, {name: jax.tree.map(as_abstract, x)})[name]
     return template._replace(**loaded), progress
 
-  return _load(workdir, step, load)
+  steps = sorted(_steps(workdir))
+  while steps:
+    step = steps.pop()
+    try:
+      return _load(workdir, step, load)
+    except UserError as e:
+      if not (last_good and steps):
+        raise
+      logging.warning('%s; training continues from step %d', e, steps[-1])
+      if jax.process_index() == 0:
+        _move_aside(workdir, step)
+  return None
 
 
 def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -195,6 +204,25 @@ def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, A
   return config, _load(workdir, step, load)
 
 
+def _steps(workdir: str) -> list[int]:
+  """The steps of all checkpoints."""
+  try:
+    names = os.listdir(os.path.join(workdir, 'checkpoints'))
+  except OSError:
+    return []
+  return [int(n) for n in names if n.isdecimal()]
+
+
+def _move_aside(workdir: str, step: int) -> None:
+  """Makes room for a new checkpoint of a step whose old one is damaged."""
+  aside = os.path.join(workdir, f'damaged-{step}')
+  try:
+    shutil.rmtree(aside, ignore_errors=True)  # of a training that came here before
+    os.rename(os.path.join(workdir, 'checkpoints', str(step)), aside)
+  except OSError as e:
+    raise UserError(f'cannot move the damaged checkpoint to {aside}: {e.strerror}') from e
+
+
 def _show(name: str, config: Mapping[str, Any]) -> Any:
   """A field's value; a data set's digest with the place where the data set lay."""
   value = config.get(name)
@@ -217,7 +245,8 @@ def _load(workdir, step, load):
     raise
   except Exception as e:  # damage shows in as many ways as there are files
     raise UserError(
-      f'the checkpoint {path} is damaged ({_reason(e)}): remove it to go back to the one before'
+      f'the checkpoint {path} is damaged ({_reason(e)}): --restore=last_good trains on from the one'
+      ' before'
     ) from e
 
 

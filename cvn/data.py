@@ -150,7 +150,9 @@ def read_shape(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> Sha
   """
   a = dataset.arrays
   return ShapeBatch(
-    *_read(dataset, row, a['views'][row, view], a['surface_index'][row, :max_voxels])
+    *dataset_lib.read_parts(
+      dataset, row, a['views'][row, view], a['surface_index'][row, :max_voxels]
+    )
   )
 
 
@@ -168,7 +170,7 @@ def read_color(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> Bat
   """
   a = dataset.arrays
   return Batch(
-    *_read(
+    *dataset_lib.read_parts(
       dataset,
       row,
       a['views'][row, view],
@@ -177,6 +179,19 @@ def read_color(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> Bat
       a['flow'][row, view, :max_voxels],
     )
   )
+
+
+def read_name(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> str:
+  """An element's model and azimuth; batches of them say what is in those of `read_color`.
+
+  Args:
+    dataset: the open data set.
+    row: of the model.
+    view: its number.
+    max_voxels: for nothing, as all readers have it.
+  """
+  del max_voxels
+  return f'{dataset.manifest.models[row].id} at {dataset.manifest.azimuths[view]:g}'
 
 
 def training_batches(
@@ -188,6 +203,7 @@ def training_batches(
   seed: int,
   mirror: bool = False,
   recolor: bool = False,
+  shard: tuple[int, int] = (0, 1),
 ) -> grain.MapDataset:
   """The batches of an epoch; indices past the end go on with the next epochs.
 
@@ -198,15 +214,17 @@ def training_batches(
     read: `read_shape` or `read_color`.
     dataset: the open data set.
     rows: [N] models to train on.
-    batch_size: elements of a batch of this process.
+    batch_size: elements of a batch, of all processes together.
     seed: of order and views, 0 to 2^32 - 1.
     mirror: whether a random half of the elements is mirrored, see cvn.augment.
     recolor: whether elements get random colours, see cvn.augment.
+    shard: (process, processes): this process gets its part of every batch; the batch size is a
+      multiple of their number, and the parts together are the batch that one process would get.
 
   Raises:
     UserError: there are fewer models than a batch needs.
   """
-  count = len(rows)
+  count, (process, processes) = len(rows), shard
   if count < batch_size:
     raise UserError(
       f'{dataset.root} has {count} finished training models, too few for a batch of {batch_size}:'
@@ -235,8 +253,9 @@ def training_batches(
     .seed(seed)
     .random_map(choose)  # before the shuffle: there its index is (epoch, element)
     .shuffle()
+    .slice(slice(process, count // processes * processes, processes))
     .map(read_chosen)
-    .batch(batch_size, drop_remainder=True)
+    .batch(batch_size // processes, drop_remainder=True)
   )
 
 
@@ -297,14 +316,3 @@ def iterate(batches: grain.MapDataset, *, num_epochs: int | None = None) -> grai
 def _reader(read, dataset):
   one = functools.partial(read, dataset, max_voxels=max_voxels(dataset))
   return lambda pair: one(*pair)
-
-
-def _read(dataset, row, *parts):
-  """Reads slices of the arrays of one model at the same time."""
-  try:
-    return [r.result() for r in [p.read() for p in parts]]
-  except ValueError as e:
-    name, reason = dataset.manifest.models[row].id, str(e).split('\n', 1)[0].split(' [', 1)[0]
-    raise UserError(
-      f'{dataset.root}: the files of model {name} are damaged ({reason}): make the data set again'
-    ) from e

@@ -23,6 +23,7 @@ number of processes may write models at the same time, and a model exists only o
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -36,6 +37,7 @@ from cvn.errors import UserError
 FORMAT = 2
 SURFACE_CAPACITY = 32768  # of 262,144 voxels; a solid cube's shell has 23,816
 SPLITS = ('train', 'val', 'test')
+MAX_CHUNK = 1 << 30  # bytes that a chunk unpacks to: 64 times what ours have
 ARRAYS = (
   'views',
   'surface_index',
@@ -207,9 +209,12 @@ def open_dataset(root: str) -> Dataset:
       tuple(raw['azimuths']),
       *(raw[k] for k in ('image_size', 'grid_size', 'capacity', 'settings')),
     )
-  except (KeyError, TypeError, ValueError) as e:
+    arrays = open_arrays(root)
+    for name, (dtype, shape, *_) in _array_specs(manifest).items():
+      _check_array(name, arrays[name], dtype, shape)
+  except (KeyError, TypeError, ValueError, OverflowError) as e:
     raise UserError(f'{root} is a damaged data set: {_first_line(e)}') from e
-  return Dataset(url, manifest, open_arrays(root))
+  return Dataset(url, manifest, arrays)
 
 
 def open_arrays(root: str) -> dict[str, ts.TensorStore]:
@@ -280,29 +285,65 @@ def read_record(dataset: Dataset, row: int) -> Record:
   """Reads one whole model back.
 
   Raises:
-    UserError: the row's model was not made.
+    UserError: the row's model was not made, or its files are damaged.
   """
-  count = int(dataset.arrays['surface_count'][row].read().result())
+  count = int(surface_counts(dataset)[row])
   if count == 0:
     raise UserError(f'{dataset.manifest.models[row].id} is not made yet')
   a = dataset.arrays
-  reads = [
-    a['views'][row].read(),
-    a['surface_index'][row, :count].read(),
-    a['surface_color'][row, :count].read(),
-    a['visible'][row, :, :count].read(),
-    a['flow'][row, :, :count].read(),
-    a['facts'][row].read(),
-  ]
-  views, index, color, visible, flow, facts = (r.result() for r in reads)
+  views, index, color, visible, flow, facts = read_parts(
+    dataset,
+    row,
+    a['views'][row],
+    a['surface_index'][row, :count],
+    a['surface_color'][row, :count],
+    a['visible'][row, :, :count],
+    a['flow'][row, :, :count],
+    a['facts'][row],
+  )
   facts = Facts(*(float(x) for x in facts))
   return Record(views, index, color, visible.astype(bool), decode_flow(flow), facts)
 
 
+def read_parts(dataset: Dataset, row: int, *parts: ts.TensorStore) -> list[np.ndarray]:
+  """Reads slices of the arrays of one model at the same time.
+
+  Args:
+    dataset: the open data set.
+    row: of the model, for the message.
+    *parts: of the arrays.
+
+  Raises:
+    UserError: the model's files are damaged.
+  """
+  try:
+    return [r.result() for r in [p.read() for p in parts]]
+  except (ValueError, IndexError) as e:
+    name = dataset.manifest.models[row].id
+    raise UserError(
+      f'{dataset.root}: the files of model {name} are damaged ({_first_line(e)}): make the data set'
+      ' again'
+    ) from e
+
+
 def surface_counts(dataset: Dataset) -> np.ndarray:
-  """[N] surface voxels of each row; 0 where the model is not made."""
-  counts = np.asarray(dataset.arrays['surface_count'].read().result())
-  return counts[: len(dataset.manifest.models)]  # arrays are extended before the manifest is
+  """[N] surface voxels of each row; 0 where the model is not made.
+
+  Raises:
+    UserError: the files are damaged.
+  """
+  m = dataset.manifest
+  try:
+    # Not all there are: arrays are extended before the manifest is, and one may claim any length.
+    counts = np.asarray(dataset.arrays['surface_count'][: len(m.models)].read().result())
+  except ValueError as e:
+    raise UserError(f'{dataset.root}surface_count is damaged: {_first_line(e)}') from e
+  for row in np.flatnonzero(counts > m.capacity)[:1]:
+    raise UserError(
+      f'{dataset.root}surface_count is damaged: model {m.models[row].id} has {counts[row]} voxels,'
+      f' more than a record can hold ({m.capacity})'
+    )
+  return counts
 
 
 def digest(dataset: Dataset, rows: Sequence[int]) -> str:
@@ -365,6 +406,22 @@ def _array_specs(m: Manifest) -> dict[str, tuple[str, Sequence[int], bool, int]]
     'facts': ('float32', (n, len(Facts._fields)), False, 0),
     'surface_count': ('uint32', (n,), False, 0),
   }
+
+
+def _check_array(name: str, array: ts.TensorStore, dtype: str, shape: Sequence[int]) -> None:
+  """Checks that an array is what the manifest says, and that one chunk of it fits into memory.
+
+  Raises:
+    ValueError: it is not.
+  """
+  # An array is extended before the manifest is.
+  if array.dtype.name != dtype or array.shape[1:] != tuple(shape[1:]) or array.shape[0] < shape[0]:
+    raise ValueError(
+      f'{name} is {array.dtype.name} {array.shape}, but the manifest says {dtype} {tuple(shape)}'
+    )
+  size = math.prod(array.chunk_layout.write_chunk.shape) * array.dtype.numpy_dtype.itemsize
+  if size > MAX_CHUNK:
+    raise ValueError(f'{name} has chunks of {size} bytes, more than {MAX_CHUNK}')
 
 
 def _open_array(url: str, name: str, spec) -> ts.TensorStore:

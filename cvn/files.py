@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import socket
 import tempfile
 import time
 from collections.abc import Iterator
@@ -65,4 +66,34 @@ def locked(path: str | os.PathLike, *, seconds: float = 60) -> Iterator[None]:
           if time.monotonic() > deadline:
             break
           time.sleep(0.1)
+    yield
+
+
+@contextlib.contextmanager
+def exclusive(folder: str) -> Iterator[None]:
+  """Keeps other processes out of a folder while the body runs.
+
+  The lock goes with the process, however it ends. Where the file system has no locks there is none.
+
+  Args:
+    folder: it exists; `.lock` in it names the process that holds the lock, and stays.
+
+  Raises:
+    UserError: another process holds the lock.
+  """
+  path = os.path.join(folder, '.lock')
+  with contextlib.ExitStack() as stack:
+    with contextlib.suppress(OSError, AttributeError):
+      file = stack.enter_context(open(path, 'a+'))
+      try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+      except BlockingIOError as e:
+        file.seek(0)
+        holder = file.read(200).strip() or 'another process'
+        raise UserError(
+          f'{folder} is in use by {holder}: wait for its end, or name another folder'
+        ) from e
+      file.truncate(0)
+      file.write(f'process {os.getpid()} on {socket.gethostname()}\n')
+      file.flush()
     yield

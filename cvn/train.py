@@ -67,27 +67,34 @@ def make_step(
   recipe: Recipe,
   *,
   total_samples: float = math.inf,
+  parts: int = 1,
 ) -> Step:
   """One optimisation step, compiled; the state that goes in is donated.
+
+  If the loss or a gradient is not finite, the state comes back as it went in.
 
   Args:
     network: from cvn.networks; its fields choose mixed precision and the layers' implementation.
     objective: from cvn.objectives.
     recipe: loss, learning rate and penalty.
     total_samples: of the whole training, for schedules that end with it.
+    parts: of the batch that are computed one after the other, for less memory. Gradients, batch
+      statistics and metrics are the means over them; so batch normalisation and MSFCEL see a part
+      at a time.
 
   Returns:
-    step(state, batch) -> (state, metrics); the loss is that before the step.
+    step(state, batch) -> (state, metrics). The loss is that before the step, and `gradient_norm`
+    the Euclidean norm of all gradients.
   """
 
   def loss(params, batch_stats, batch):
     return _loss(params, batch_stats, batch, network, objective, recipe, True)
 
-  return _compile_step(loss, recipe, total_samples)
+  return _compile_step(loss, recipe, total_samples, parts)
 
 
 def make_surface_step(
-  network: ColorNetwork, recipe: Recipe, *, total_samples: float = math.inf
+  network: ColorNetwork, recipe: Recipe, *, total_samples: float = math.inf, parts: int = 1
 ) -> Step:
   """`make_step` for the colour network, with its heads computed at surface voxels alone.
 
@@ -97,6 +104,7 @@ def make_surface_step(
     network: its fields choose mixed precision and the layers' implementation.
     recipe: loss, learning rate and penalty.
     total_samples: of the whole training, for schedules that end with it.
+    parts: of the batch that are computed one after the other, as in `make_step`.
 
   Returns:
     step(state, batch) -> (state, metrics), as of `make_step`.
@@ -106,7 +114,7 @@ def make_surface_step(
   def loss(params, batch_stats, batch):
     return _surface_loss(params, batch_stats, batch, trunk, recipe)
 
-  return _compile_step(loss, recipe, total_samples)
+  return _compile_step(loss, recipe, total_samples, parts)
 
 
 def make_recalibration(network: nn.Module) -> Callable[[TrainState, Iterable[Any]], TrainState]:
@@ -165,15 +173,14 @@ def _adam(schedule):
   return optax.adam(schedule, b1=0.9, b2=0.999, eps=1e-8)
 
 
-def _compile_step(loss, recipe, total_samples):
+def _compile_step(loss, recipe, total_samples, parts):
   """The step of a loss (params, batch statistics, batch) -> (scalar, (metrics, statistics))."""
+  gradient_of = _mean_over_parts(jax.grad(loss, has_aux=True), parts)
 
   def step(state, batch):
     size = len(batch.image)
     optimizer = make_optimizer(recipe, batch_size=size, total_samples=total_samples)
-    gradient, (metrics, batch_stats) = jax.grad(loss, has_aux=True)(
-      state.params, state.batch_stats, batch
-    )
+    gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch)
     with jax.numpy_dtype_promotion('standard'):  # which optax counts on, whatever the caller has
       updates, opt_state = optimizer.update(gradient, state.opt_state)
     params = optax.apply_updates(state.params, updates)
@@ -181,9 +188,36 @@ def _compile_step(loss, recipe, total_samples):
     running = jax.tree.map(
       lambda old, new: decay * old + (1 - decay) * new, state.batch_stats, batch_stats
     )
-    return TrainState(params, running, opt_state, state.step + 1), metrics
+    norm = optax.tree.norm(gradient)
+    finite = jnp.isfinite(metrics['loss']) & jnp.isfinite(norm)
+    taken = TrainState(params, running, opt_state, state.step + 1)
+    kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), taken, state)
+    return kept, {**metrics, 'gradient_norm': norm}
 
   return jax.jit(step, donate_argnums=0)
+
+
+def _mean_over_parts(function, parts):
+  """function(params, batch statistics, batch) as the mean over that many parts of the batch."""
+  if parts == 1:
+    return function
+
+  def mean(params, batch_stats, batch):
+    # Every parts-th sample: so a part is spread over the devices as the batch is.
+    split = jax.tree.map(lambda x: x.reshape(-1, parts, *x.shape[1:]).swapaxes(0, 1), batch)
+    first = jax.tree.map(lambda x: x[0], split)
+    zeros = jax.tree.map(
+      lambda s: jnp.zeros(s.shape, s.dtype),
+      jax.eval_shape(function, params, batch_stats, first),
+    )
+
+    def add(total, part):
+      return jax.tree.map(jnp.add, total, function(params, batch_stats, part)), None
+
+    total, _ = jax.lax.scan(add, zeros, split)
+    return jax.tree.map(lambda x: x / parts, total)
+
+  return mean
 
 
 def _loss(params, batch_stats, batch, network, objective, recipe, train):

@@ -267,6 +267,22 @@ def test_restored_iterator_continues_exactly(made, consumed):
   assert images(itertools.islice(second, 4)) == expected
 
 
+@pytest.mark.parametrize('processes', [2, 3])
+def test_the_parts_of_all_processes_are_the_batch_of_one(made, processes):
+  """In every epoch, and with the models left over that one process leaves out."""
+
+  def named(**options):
+    rows, options = data.select_rows(made, 'train'), {'batch_size': 6, 'seed': 3, **options}
+    return data.training_batches(data.read_name, made, rows, **options)
+
+  whole, parts = named(), [named(shard=(n, processes)) for n in range(processes)]
+  assert {len(p) for p in parts} == {len(whole)}
+  for n in range(3):
+    mine = [set(map(str, p[n])) for p in parts]
+    assert set().union(*mine) == set(map(str, whole[n]))
+    assert [len(m) for m in mine] == [6 // processes] * processes
+
+
 def test_too_few_models_for_a_batch(made):
   with pytest.raises(UserError, match='7 finished training models, too few for a batch of 60'):
     batches(made, batch_size=60)

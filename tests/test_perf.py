@@ -13,6 +13,7 @@ from experiments.perf import layers, limits, measuring, peer
 MACHINE = {
   'processor': 'Abacus',
   'cores': 2,
+  'platform': 'cpu',
   'devices': '1 x cpu',
   'compiled kernels': 'AVX2 (compiled)',
   'versions': {'jax': '1.2'},

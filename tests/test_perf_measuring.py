@@ -59,7 +59,7 @@ def test_reference_uses_the_librarys_deconvolution(monkeypatch):
 
 def test_machine():
   machine = measuring.describe_machine()
-  assert machine['cores'] == os.cpu_count()
+  assert machine['cores'] == os.cpu_count() and machine['platform'] == jax.default_backend()
   assert machine['versions']['jax'] == jax.__version__
   library = native.library()
   assert machine['compiled kernels'] == (

@@ -33,6 +33,12 @@ def test_a_setting_becomes_flags():
   ]
 
 
+def test_a_gpu_is_compared_with_a_gpu_that_may_round_as_ours():
+  options = {'network': 'shape', 'batch_size': 12, 'steps': 3, 'platform': 'gpu'}
+  command = peer.make_command('py', Setting('float32', 'default'), **options)
+  assert command[-2:] == ['--device=cuda', '--tf32']
+
+
 def test_the_last_figure_counts():
   code = "print('PyTorch 9'); print('first: 1.25 images/s'); print('8.50 images/s')"
   assert peer.run(python(code)) == peer.Trial(8.5, 'PyTorch 9')

@@ -16,7 +16,7 @@ import pytest
 import synthetic
 from absl import flags
 
-from cvn import checkpoint, data, grid, infer, losses, objectives
+from cvn import checkpoint, data, files, grid, infer, losses, objectives
 from cvn.errors import UserError
 from cvn.recipe import RELEASE, cosine
 from experiments import train as program
@@ -44,8 +44,8 @@ def loss_of(params, batch):
   return jnp.mean((pixel @ params['w'] - count / 1e4) ** 2)
 
 
-def make_step(network, objective, recipe, *, total_samples):
-  del network, objective, total_samples
+def make_step(network, objective, recipe, *, total_samples, parts=1):
+  del network, objective, total_samples, parts
   optimizer = optax.adam(recipe.learning_rate)
 
   @jax.jit
@@ -81,9 +81,9 @@ def small_networks(request, monkeypatch):
 
 @pytest.fixture(scope='module')
 def made(tmp_path_factory):
-  """Four models to train on, one each to validate and to test."""
+  """Eight models to train on, two each to validate and to test; tests have four devices."""
   root = tmp_path_factory.mktemp('data') / 'set'
-  synthetic.make_dataset(root, 6, azimuths=(0, 90))
+  synthetic.make_dataset(root, 12, azimuths=(0, 90))
   return root
 
 
@@ -94,7 +94,7 @@ def run(made, workdir, *arguments, network='shape', epochs=2):
       f'--data={made}',
       f'--workdir={workdir}',
       f'--epochs={epochs}',
-      '--batch_size=2',
+      '--batch_size=4',
       '--validate_every=1',
       '--log_every=3',
       '--dtype=float32',
@@ -144,7 +144,7 @@ def test_trains(made, tmp_path, network):
   assert [line['epoch'] for line in log] == [1, 1, 1.5, 2, 2]
   assert set(log[1]['validation']) == ({'loss', 'iou'} if network == 'shape' else {'loss'})
   config, variables = checkpoint.load_network(str(tmp_path / 'run'), network)
-  assert (config['batch_size'], config['models'], config['learning_rate']) == (2, 4, 3e-4)
+  assert (config['batch_size'], config['models'], config['learning_rate']) == (4, 8, 3e-4)
   assert variables['params']['w'].shape == (3,)
   assert os.listdir(tmp_path / 'run' / 'tensorboard')
 
@@ -238,7 +238,7 @@ def test_second_interrupt_ends_at_once(made, tmp_path, monkeypatch, request):
 
 def test_empty_validation_split_is_said(tmp_path, capsys):
   root = tmp_path / 'set'
-  synthetic.make_dataset(root, 2, splits=('train',), azimuths=(0,))
+  synthetic.make_dataset(root, 4, splits=('train',), azimuths=(0,))
   assert run(root, tmp_path / 'run', epochs=1) == 0
   assert 'no finished model in the split val' in capsys.readouterr().err
   assert not any('validation' in line for line in log_of(tmp_path / 'run'))
@@ -263,7 +263,7 @@ def test_nan_stops_and_is_not_saved(made, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
   ('changed', 'name'),
   [
-    ('--batch_size=4', 'batch_size'),
+    ('--batch_size=8', 'batch_size'),
     ('--recipe=release', 'recipe'),
     ('--dtype=mixed', 'dtype'),
     ('--seed=3', 'seed'),
@@ -290,7 +290,7 @@ def test_fewer_epochs_than_there_are_is_an_error(made, tmp_path):
 def test_the_configuration_is_known_before_the_run(made, tmp_path):
   run(made, tmp_path / 'run', '--learning_rate=0.01', '--recipe=best', '--dtype=mixed', epochs=1)
   stored = checkpoint.read_config(str(tmp_path / 'run'))
-  named = {'network': 'shape', 'data': made, 'workdir': 'elsewhere', 'epochs': 1, 'batch_size': 2}
+  named = {'network': 'shape', 'data': made, 'workdir': 'elsewhere', 'epochs': 1, 'batch_size': 4}
   asked = training.configuration(**named, learning_rate=0.01, recipe='best', dtype='mixed')
   assert stored == {'format': checkpoint.FORMAT, **asked}
   assert (stored['recipe'], stored['sample'], stored['schedule']) == (
@@ -299,7 +299,7 @@ def test_the_configuration_is_known_before_the_run(made, tmp_path):
     'cosine',
   )
   assert (stored['learning_rate'], stored['mirror'], stored['epochs']) == (0.01, True, 1)
-  assert stored['counts'] == {'ball (synthetic)': 4} and stored['models'] == 4
+  assert stored['counts'] == {'ball (synthetic)': 8} and stored['models'] == 8
 
 
 def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path, monkeypatch):
@@ -315,10 +315,10 @@ def test_statistics_are_taken_anew_at_the_end_and_for_validation(made, tmp_path,
 
   monkeypatch.setattr(program.train, 'make_recalibration', make_recalibration)
   run(made, tmp_path / 'run', '--fresh_statistics=3', '--validate_every=1', epochs=2)
-  assert renewed == [6, 6]
+  assert renewed == [12, 12]
   dataset = program.open_dataset(str(made))
   batches = data.training_batches(
-    data.read_shape, dataset, data.select_rows(dataset, 'train'), batch_size=2, seed=0
+    data.read_shape, dataset, data.select_rows(dataset, 'train'), batch_size=4, seed=0
   )
   _, variables = checkpoint.load_network(str(tmp_path / 'run'), 'shape')
   expected = np.concatenate([data.decode(batches[n]).image for n in range(3)]).mean((0, 1, 2))
@@ -383,7 +383,7 @@ def test_shapes_have_no_surface_heads(made, tmp_path):
 
 
 def test_too_few_models(made, tmp_path):
-  with pytest.raises(UserError, match='4 finished training models, too few for a batch of 60'):
+  with pytest.raises(UserError, match='8 finished training models, too few for a batch of 60'):
     run(made, tmp_path / 'run', '--batch_size=60')
   assert not (tmp_path / 'run').exists()
 
@@ -407,7 +407,9 @@ def test_out_of_memory(made, tmp_path, monkeypatch):
     return step
 
   monkeypatch.setattr(program.train, 'make_step', make)
-  with pytest.raises(UserError, match='too little memory: take a smaller --batch_size'):
+  with pytest.raises(
+    UserError, match='too little memory: take a larger --parts, or a smaller --batch'
+  ):
     run(made, tmp_path / 'run')
 
 
@@ -428,29 +430,101 @@ def test_validation_is_whole_batches_where_it_can_be(made):
   assert (count(2, maximum=3), count(2, maximum=1)) == (2, 1)
 
 
-@pytest.mark.parametrize(('batch_size', 'devices'), [(60, 4), (6, 2), (7, 1)])
-def test_a_batch_is_spread_over_the_devices_that_divide_it(batch_size, devices, capsys):
-  put_batch, put_state = program.make_placement(batch_size)
-  message = capsys.readouterr().err
-  assert message == '' if devices == 4 else f'4 devices: {devices} of them are used' in message
-  batch = data.ShapeBatch(np.zeros((batch_size, 2, 2, 3)), np.zeros((batch_size, 5, 3), int))
-  placed = put_batch(batch)
-  assert len(placed.image.devices()) == devices
-  assert placed.image.addressable_shards[0].data.shape == (batch_size // devices, 2, 2, 3)
-  assert put_state(jnp.zeros(3)).sharding.is_fully_replicated
-  if devices > 1:
-    rest = put_batch(jax.tree.map(lambda x: x[:1], batch))
-    assert rest.image.sharding.is_fully_replicated
+def test_a_batch_that_does_not_divide_is_refused(made, tmp_path):
+  with pytest.raises(UserError, match=r'batch of 6 .* over 4 devices: take --batch_size=4 or 8'):
+    run(made, tmp_path / 'run', '--batch_size=6')
+  with pytest.raises(UserError, match='4 devices and 2 parts: take --batch_size=8'):
+    run(made, tmp_path / 'run', '--parts=2')
+  assert not (tmp_path / 'run').exists()
 
 
-def test_mean_over_devices_is_the_mean_on_one(made, tmp_path, monkeypatch):
-  run(made, tmp_path / 'two')
-  monkeypatch.setattr(jax, 'device_count', lambda: 1)
-  run(made, tmp_path / 'one')
-  two, one = (
-    [line['loss'] for line in log_of(tmp_path / name) if 'loss' in line] for name in ('two', 'one')
+def test_the_workdir_alone_continues_the_run(made, tmp_path, capsys):
+  run(made, tmp_path / 'whole', '--log_every=2', '--seed=3', epochs=3)
+  run(made, tmp_path / 'parts', '--log_every=2', '--seed=3', epochs=2)
+  alone = f'--workdir={tmp_path / "parts"}'
+  assert program.main([alone]) == 0
+  assert 'is trained for 2 epochs' in capsys.readouterr().out
+  assert program.main([alone, '--epochs=3']) == 0
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+  with pytest.raises(UserError, match='was made with seed=3, not 4'):
+    program.main([alone, '--seed=4'])
+
+
+def test_sessions_say_how_the_run_was_started(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=1)
+  run(made, tmp_path / 'run', epochs=2)
+  lines = [json.loads(x) for x in (tmp_path / 'run' / 'sessions.jsonl').read_text().splitlines()]
+  assert [(x['step'], x['settings']['epochs']) for x in lines] == [(0, 1), (2, 2)]
+  assert lines[0]['versions']['jax'] == jax.__version__
+  assert lines[0]['devices'] == '4 x cpu' and lines[0]['processes'] == 1
+
+
+def test_a_new_workdir_needs_a_network_and_data(tmp_path):
+  with pytest.raises(UserError, match='holds no run to continue: name --network and --data'):
+    program.main([f'--workdir={tmp_path / "new"}'])
+
+
+def test_a_second_run_in_the_workdir_is_refused(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=1)
+  with files.exclusive(str(tmp_path / 'run')):
+    with pytest.raises(UserError, match=f'is in use by process {os.getpid()} on'):
+      run(made, tmp_path / 'run', epochs=2)
+  assert run(made, tmp_path / 'run', epochs=2) == 0
+
+
+def flip_a_byte(folder):
+  """In the largest file below a folder."""
+  path = max((p for p in folder.rglob('*') if p.is_file()), key=lambda p: p.stat().st_size)
+  content = bytearray(path.read_bytes())
+  content[len(content) // 2] ^= 255
+  path.write_bytes(content)
+
+
+def test_the_checkpoint_before_a_damaged_one_on_demand(made, tmp_path, caplog):
+  run(made, tmp_path / 'whole', '--checkpoint_every=0')
+  run(made, tmp_path / 'parts', '--checkpoint_every=0', epochs=1)
+  flip_a_byte(tmp_path / 'parts' / 'checkpoints' / '2')
+  with pytest.raises(UserError, match=r'is damaged .*--restore=last_good'):
+    run(made, tmp_path / 'parts', '--checkpoint_every=0')
+  run(made, tmp_path / 'parts', '--checkpoint_every=0', '--restore=last_good')
+  assert 'is damaged' in caplog.text and 'continues from step 1' in caplog.text
+  assert (tmp_path / 'parts' / 'damaged-2').is_dir()
+  whole, parts = (tmp_path / name / 'log.jsonl' for name in ('whole', 'parts'))
+  assert parts.read_bytes() == whole.read_bytes()
+  jax.tree.map(
+    np.testing.assert_array_equal, arrays_of(tmp_path / 'parts'), arrays_of(tmp_path / 'whole')
   )
-  np.testing.assert_allclose(two, one, rtol=1e-6)
+
+
+def test_a_step_that_was_not_finite_is_computed_again(made, tmp_path, monkeypatch, capsys):
+  def make(*args, **kwargs):
+    inner = make_step(*args, **kwargs)
+
+    @jax.jit
+    def outer(state, batch):
+      new, metrics = inner(state, batch)
+      bad = state.step == 2
+      kept = jax.tree.map(lambda n, o: jnp.where(bad, o, n), new, state)
+      return kept, {'loss': jnp.log(jnp.where(bad, -1.0, 1.0)) + metrics['loss']}
+
+    return outer
+
+  monkeypatch.setattr(program.train, 'make_step', make)
+  with pytest.raises(UserError, match=r'loss became nan at step 3.*\((m\d+ at (0|90)[, ]*){4}\)'):
+    run(made, tmp_path / 'run', '--log_every=1')
+  capsys.readouterr()
+  assert program.main([f'--workdir={tmp_path / "run"}', '--replay']) == 0
+  out = capsys.readouterr().out
+  assert 'step 3: loss nan' in out and 'first in: ' in out
+  assert len(re.findall(r'm\d+ at (?:0|90) alone: iou 0.5, loss [0-9]', out)) == 4
+  assert 'parameters: the largest is' in out
+
+
+def test_nothing_to_replay(made, tmp_path):
+  run(made, tmp_path / 'run', epochs=1)
+  with pytest.raises(UserError, match='no loss of this training was ever not finite'):
+    program.main([f'--workdir={tmp_path / "run"}', '--replay'])
 
 
 def test_program_prints_one_line(tmp_path):

@@ -107,7 +107,47 @@ def library_conv(x: jax.Array, kernel: jax.Array) -> jax.Array:
   return lax.conv_general_dilated(x, kernel, (1, 1, 1), 'SAME', dimension_numbers=_DIMENSIONS)
 
 
-_LIBRARY = {'deconv': library_deconv, 'conv': library_conv}
+def library_deconv_gradient(
+  a: jax.Array, kernel: jax.Array, dy: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+  """Gradients of a and kernel, by convolutions of stride 2.
+
+  The transposed convolution is the adjoint of one of stride 2, S: <T(a, w), dy> = <a, S(dy, w)>. So
+  the gradient of a is S(dy, w), and that of w is S's own. JAX's derivative of a convolution with
+  dilated input is one with a dilated input and a kernel as large as the volume, for which no
+  library of an accelerator has a program.
+
+  Args:
+    a: [B, X, Y, Z, in].
+    kernel: [3, 3, 3, in, out].
+    dy: [B, 2X, 2Y, 2Z, out], the cotangent of `library_deconv`.
+  """
+
+  def strided(w):
+    dimensions = ('NXYZC', 'XYZOI', 'NXYZC')
+    return lax.conv_general_dilated(dy, w, (2, 2, 2), [(0, 1)] * 3, dimension_numbers=dimensions)
+
+  da, pull = jax.vjp(strided, kernel)
+  return da, *pull(a)
+
+
+def library_conv_gradient(
+  a: jax.Array, kernel: jax.Array, dy: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+  """Gradients of a and kernel, as XLA has them.
+
+  Args:
+    a: [B, X, Y, Z, in].
+    kernel: [3, 3, 3, in, out].
+    dy: [B, X, Y, Z, out], the cotangent of `library_conv`.
+  """
+  return jax.vjp(library_conv, a, kernel)[1](dy)
+
+
+_LIBRARY = {
+  'deconv': (library_deconv, library_deconv_gradient),
+  'conv': (library_conv, library_conv_gradient),
+}
 _PRODUCTS = {
   'deconv': (matmul.deconv, matmul.deconv_gradient),
   'conv': (matmul.conv, matmul.conv_gradient),
@@ -194,7 +234,7 @@ def _plain(name, activation, dtype, *arrays):
 
   def of_library(x, scale, shift, kernel):
     a = activated(x, scale, shift, activation)
-    y = _LIBRARY[name](a, kernel.astype(x.dtype)).astype(dtype)
+    y = _LIBRARY[name][0](a, kernel.astype(x.dtype)).astype(dtype)
     return y, sum_channels(y)
 
   return dispatch.product(of_matrices, of_library, *arrays)
@@ -210,14 +250,10 @@ def _plain_gradient(name, activation, arrays, results, cotangents):
   def of_library(x, scale, shift, kernel, y, dy, dsums):
     first, second = dsums.reshape(2, 1, 1, 1, 1, -1)
     dy = dy.astype(jnp.float32) + first + 2 * second * y.astype(jnp.float32)
-
-    def value(x, scale, shift, kernel):
-      return _LIBRARY[name](activated(x, scale, shift, activation), kernel).astype(y.dtype)
-
+    a, pull = jax.vjp(lambda *v: activated(*v, activation), x, scale, shift)
     # The cotangent is a factor of products too.
-    _, pull = jax.vjp(value, x, scale, shift, kernel.astype(x.dtype))
-    *gradients, dkernel = pull(dy.astype(x.dtype).astype(y.dtype))
-    return *gradients, dkernel.astype(jnp.float32)
+    da, dkernel = _LIBRARY[name][1](a, kernel.astype(x.dtype), dy.astype(x.dtype))
+    return *pull(da), dkernel.astype(jnp.float32)
 
   y, _ = results
   return dispatch.product(of_matrices, of_library, *arrays, y, *cotangents)

@@ -12,7 +12,12 @@ from absl import flags
 from cvn import environment, errors
 
 
-def program(define_flags: Callable[[flags.FlagValues], None], *, computes: bool = True):
+def program(
+  define_flags: Callable[[flags.FlagValues], None],
+  *,
+  computes: bool = True,
+  start: Callable[[flags.FlagValues], None] | None = None,
+):
   """A decorator that makes a function of parsed flags the `main` of a program.
 
   `main()` runs the program with the arguments of the process and ends the process. `main(argv)`
@@ -22,6 +27,7 @@ def program(define_flags: Callable[[flags.FlagValues], None], *, computes: bool 
   Args:
     define_flags: defines the program's flags in a `FlagValues`.
     computes: whether to apply the process settings of `cvn.environment`.
+    start: what the process does first, with the parsed flags; `main(argv)` leaves it out.
   """
 
   def decorate(body: Callable[[flags.FlagValues], int | None]):
@@ -32,7 +38,13 @@ def program(define_flags: Callable[[flags.FlagValues], None], *, computes: bool 
       if computes:
         environment.prepare()
       define_flags(flags.FLAGS)
-      return errors.run(lambda _: body(flags.FLAGS))
+
+      def run(_):
+        if start is not None:
+          start(flags.FLAGS)
+        return body(flags.FLAGS)
+
+      return errors.run(run)
 
     return main
 

@@ -19,7 +19,7 @@ from cvn.errors import UserError
 from cvn.networks import NETWORKS
 from cvn.ops import native
 from cvn.recipe import RECIPES, Recipe
-from experiments.lib import cli
+from experiments.lib import cli, sessions
 
 SHAPE_LOSSES = {'msfcel': losses.msfcel, 'cross_entropy': losses.cross_entropy}
 SURFACE_DISTANCES = {
@@ -29,6 +29,7 @@ SURFACE_DISTANCES = {
 DTYPES = ('float32', 'mixed')
 DTYPE_CHOICES = ('auto', *DTYPES)
 HEADS = ('dense', 'surface')
+RESTORES = ('newest', 'last_good')
 SAMPLERS = {
   'bilinear': sampler.bilinear,
   'nearest': sampler.nearest,
@@ -69,6 +70,7 @@ class Settings(NamedTuple):
   validate_every: int
   validation_views: int
   checkpoint_every: float
+  parts: int
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -150,15 +152,56 @@ def define_flags(f: flags.FlagValues) -> None:
   flags.DEFINE_integer('validate_every', 10, 'Epochs between validations.', lower_bound=1, **own)
   flags.DEFINE_integer('validation_views', 120, 'Maximum views in a validation.', 1, **own)
   flags.DEFINE_float('checkpoint_every', 5, 'Minutes between checkpoints.', 0, **own)
-  flags.mark_flags_as_required(['network', 'data', 'workdir'], f)
+  flags.DEFINE_integer(
+    'parts',
+    1,
+    'Parts of a batch that are computed one after the other, for less memory: gradients are added'
+    ' up, and batch normalisation sees a part at a time.',
+    lower_bound=1,
+    **own,
+  )
+  flags.DEFINE_enum(
+    'restore',
+    'newest',
+    RESTORES,
+    'Checkpoint to continue from. last_good: the newest one that is not damaged.',
+    **own,
+  )
+  flags.DEFINE_bool(
+    'replay', False, 'Compute again the step whose loss or gradient was not finite.', **own
+  )
+  flags.DEFINE_string(
+    'coordinator',
+    None,
+    'HOST:PORT of the first of several processes; JAX finds it by itself under Slurm, Open MPI,'
+    ' Kubernetes and on Cloud TPU.',
+    **own,
+  )
+  flags.DEFINE_integer('num_processes', None, 'Processes of the training.', 1, **own)
+  flags.DEFINE_integer('process_id', None, 'Number of this process, from 0.', 0, **own)
+  flags.mark_flags_as_required(['workdir'], f)
   flags.register_validator(
     'learning_rate', lambda x: x is None or 0 < x < math.inf, 'must be above 0', f
   )
 
 
 def read_flags(f: flags.FlagValues) -> Settings:
-  """The settings that the flags describe."""
-  return Settings(*(f[name].value for name in Settings._fields))
+  """The settings that the flags describe; those not given are of the run's last session.
+
+  Raises:
+    UserError: --workdir holds no run, and --network or --data is not given; or the file of its
+      sessions is damaged.
+  """
+  last = sessions.last_settings(f['workdir'].value)
+
+  def value(name):
+    return last[name] if name in last and not f[name].present else f[name].value
+
+  s = Settings(*(value(name) for name in Settings._fields))._replace(workdir=f['workdir'].value)
+  missing = [f'--{name}' for name in ('network', 'data') if getattr(s, name) is None]
+  if missing:
+    raise UserError(f'{s.workdir} holds no run to continue: name {" and ".join(missing)}')
+  return s
 
 
 def resolve_dtype(s: Settings) -> Settings:
@@ -215,6 +258,8 @@ def make_config(
     **{name: getattr(s, name) for name in names},
     **describe_recipe(recipe),
   }
+  if s.parts > 1:
+    config['parts'] = s.parts
   # A schedule that ends with the training depends on its length.
   return config | ({'epochs': s.epochs} if recipe.schedule is recipes.cosine else {})
 

@@ -18,6 +18,8 @@ it, in an environment of its own:
 Each setting in --peer_options is tried once, for a mixed network in float32 and in bfloat16. The
 fastest one then runs in turn with ours (A B A B), each time in a new process. --limit keeps both
 programs to one instruction set (limits.py).
+
+On a GPU, experiments.perf.accelerator does the same in few processes, which saves most of the time.
 """
 
 import itertools
@@ -47,6 +49,7 @@ class Plan(NamedTuple):
   data: str | None
   peer_python: str | None
   peer_options: Sequence[str]
+  platform: str = 'cpu'  # JAX's name
 
 
 def define_flags(f: flags.FlagValues) -> None:
@@ -108,6 +111,7 @@ def measure_all(
   """
   found = {'machine': measuring.alone(measuring.describe_machine), 'limit': variables}
   found['training'] = []
+  plan = plan._replace(platform=found['machine']['platform'])
   say(texts.describe(found['machine'], variables))
   write(path, found)
   for combination in combinations:
@@ -174,7 +178,12 @@ def try_settings(
   for setting in peer.list_settings(dtype, plan.peer_options):
     tell(f'{name}: PyTorch, {setting}')
     command = peer.make_command(
-      plan.peer_python, setting, network=kind, batch_size=batch_size, steps=plan.steps
+      plan.peer_python,
+      setting,
+      network=kind,
+      batch_size=batch_size,
+      steps=plan.steps,
+      platform=plan.platform,
     )
     trial = peer.run(command, timeout=peer.TIMEOUT)
     rate = trial.rate if trial else None

@@ -5,6 +5,7 @@ the peak of what it measured. Batches are noise of the shapes that training meet
 """
 
 import contextlib
+import functools
 import multiprocessing
 import os
 import platform
@@ -22,7 +23,7 @@ import jax
 import jaxlib
 import numpy as np
 
-from cvn import data, environment, infer, train
+from cvn import data, environment, infer, parallel, train
 from cvn.camera import IMAGE_SIZE
 from cvn.data import Batch
 from cvn.dataset import open_dataset
@@ -104,6 +105,7 @@ def describe_machine() -> dict[str, Any]:
   return {
     'processor': compiling.processor_name(),
     'cores': os.cpu_count(),
+    'platform': device.platform,
     'devices': f'{len(jax.devices())} x {device.device_kind}',
     'compiled kernels': library and f'{library.instruction_set} ({library.origin})',
     'versions': {
@@ -184,9 +186,10 @@ def time_data(kind: str, batch_size: int, mixed: bool, steps: int, path: str) ->
   program.check_sizes(dataset)
   rows, read = data.select_rows(dataset, 'train'), READERS[kind]
   batches = data.training_batches(read, dataset, rows, batch_size=batch_size, seed=0)
-  put_batch, put_state = fit.make_placement(batch_size)
+  placement = parallel.make_placement()
+  put_batch = functools.partial(parallel.put_batch, placement)
   network = NETWORKS[kind](mixed=mixed)
-  state = put_state(train.create_state(jax.random.key(0), network))
+  state = parallel.put_whole(placement, train.create_state(jax.random.key(0), network))
   step = train.make_step(network, OBJECTIVES[kind], PAPER)
 
   def seconds_a_step(next_batch):

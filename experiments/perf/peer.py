@@ -49,9 +49,24 @@ def list_settings(dtype: str, options: Sequence[str]) -> list[Setting]:
 
 
 def make_command(
-  python: str, setting: Setting, *, network: str, batch_size: int, steps: int
+  python: str,
+  setting: Setting,
+  *,
+  network: str,
+  batch_size: int,
+  steps: int,
+  platform: str = 'cpu',
 ) -> list[str]:
-  """The command that times a setting; `python` is an interpreter that has PyTorch."""
+  """The command that times a setting.
+
+  Args:
+    python: an interpreter that has PyTorch.
+    setting: how PyTorch runs the step.
+    network: 'shape' or 'color'.
+    batch_size: views in a step.
+    steps: timed after the first.
+    platform: JAX's name of ours. On a 'gpu' both may round float32 factors to TF32, as JAX does.
+  """
   chosen = [] if setting.options == 'default' else setting.options.split('+')
   return [
     python,
@@ -61,6 +76,7 @@ def make_command(
     f'--steps={steps}',
     f'--dtype={setting.dtype}',
     *(f'--{option}' for option in chosen),
+    *(('--device=cuda', '--tf32') if platform == 'gpu' else ()),
   ]
 
 

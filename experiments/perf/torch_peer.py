@@ -1,6 +1,7 @@
 r"""The training step of the shape or the colour network in PyTorch, timed, to compare ours with.
 
-python torch_peer.py --network=shape --batch_size=12 --dtype=float32 [--channels_last] [--compile]
+python torch_peer.py --network=shape --batch_size=12 --dtype=float32 [--channels_last] [--compile] \
+  [--device=cpu|cuda] [--tf32]
 
 The program stands alone: it needs PyTorch and nothing of this project, and runs in an environment
 of its own (`pip install torch numpy`). Its step does what that of cvn.train does with the recipe
@@ -56,15 +57,16 @@ def make_network(kind: str) -> nn.ModuleDict:
   )
 
 
-def make_batch(size: int, seed: int = 0) -> dict[str, torch.Tensor]:
+def make_batch(size: int, seed: int = 0, device: str = 'cpu') -> dict[str, torch.Tensor]:
   """Noise of the shapes that training meets; `index` holds the surface voxels [B, S, 3]."""
   random = torch.Generator().manual_seed(seed)
-  return {
+  batch = {
     'image': torch.rand(size, 3, IMAGE_SIZE, IMAGE_SIZE, generator=random),
     'index': torch.randint(GRID_SIZE, (size, SURFACE_VOXELS, 3), generator=random),
     'color': torch.rand(size, SURFACE_VOXELS, 3, generator=random),
     'flow': torch.rand(size, SURFACE_VOXELS, 2, generator=random),
   }
+  return {name: x.to(device) for name, x in batch.items()}
 
 
 def compute_volumes(
@@ -111,9 +113,13 @@ def time_steps(
   dtype: str,
   channels_last: bool = False,
   compiled: bool = False,
+  device: str = 'cpu',
+  tf32: bool = False,
   steps: int = 5,
 ) -> list[float]:
   """Seconds of every training step; the first one is not representative.
+
+  On a GPU cuDNN tries its programs for each shape in the first step and keeps the fastest.
 
   Args:
     kind: 'shape' or 'color'.
@@ -121,10 +127,14 @@ def time_steps(
     dtype: 'float32', or 'bfloat16' for PyTorch's automatic mixed precision.
     channels_last: whether the layers keep the channels innermost in memory.
     compiled: whether `torch.compile` compiles the network and its loss.
+    device: 'cpu' or 'cuda'.
+    tf32: whether a GPU may round float32 factors of products to TF32.
     steps: how many there are after the first.
   """
   torch.manual_seed(0)
-  network, batch = make_network(kind), make_batch(batch_size)
+  torch.backends.cudnn.benchmark = True
+  torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = tf32
+  network, batch = make_network(kind).to(device), make_batch(batch_size, device=device)
   if channels_last:
     batch['image'] = batch['image'].contiguous(memory_format=torch.channels_last)
     for layer in network.modules():
@@ -143,13 +153,22 @@ def time_steps(
   for _ in range(steps + 1):
     start = time.perf_counter()
     optimizer.zero_grad()
-    with torch.autocast('cpu', DTYPES[dtype], enabled=dtype != 'float32'):
+    with torch.autocast(device, DTYPES[dtype], enabled=dtype != 'float32'):
       loss = objective()
     loss.backward()
     optimizer.step()
-    loss.item()
+    loss.item()  # waits for all that was asked of the device
     seconds.append(time.perf_counter() - start)
   return seconds
+
+
+def describe(device: str) -> str:
+  """PyTorch's version, and what it computes with."""
+  if device == 'cpu':
+    where = f'{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads'
+  else:
+    where = f'{torch.cuda.get_device_name()}, cuDNN {torch.backends.cudnn.version()}'
+  return f'PyTorch {torch.__version__}, {where}'
 
 
 def main() -> None:
@@ -159,6 +178,8 @@ def main() -> None:
   parser.add_argument('--dtype', choices=(*DTYPES,), default='float32')
   parser.add_argument('--channels_last', action='store_true', help='Keep channels innermost.')
   parser.add_argument('--compile', action='store_true', help='Use torch.compile.')
+  parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu')
+  parser.add_argument('--tf32', action='store_true', help="Allow a GPU's TF32 products.")
   parser.add_argument('--steps', type=int, default=5, help='Timed steps after the first.')
   a = parser.parse_args()
   if a.batch_size < 2 or a.steps < 1:
@@ -169,10 +190,11 @@ def main() -> None:
     dtype=a.dtype,
     channels_last=a.channels_last,
     compiled=a.compile,
+    device=a.device,
+    tf32=a.tf32,
     steps=a.steps,
   )
-  capability = torch.backends.cpu.get_cpu_capability()
-  print(f'PyTorch {torch.__version__}, {capability}, {torch.get_num_threads()} threads')
+  print(describe(a.device))
   print(f'first step {first:.1f} s')
   print(f'{a.batch_size / statistics.median(seconds):.3f} images/s')
 
@@ -199,8 +221,8 @@ def _head(hidden, outputs, activation):
 
 def _msfcel(logits, index):
   """Squared means of the cross-entropy over empty and over occupied voxels of [B, X, Y, Z]."""
-  sample = torch.arange(len(index))[:, None].expand(index.shape[:2])
-  occupied = torch.zeros(logits.shape, dtype=torch.bool)
+  sample = torch.arange(len(index), device=index.device)[:, None].expand(index.shape[:2])
+  occupied = torch.zeros(logits.shape, dtype=torch.bool, device=logits.device)
   occupied[sample, index[..., 0], index[..., 1], index[..., 2]] = True
   empty = F.softplus(logits).masked_fill(occupied, 0).sum() / (~occupied).sum()
   full = F.softplus(-logits).masked_fill(~occupied, 0).sum() / occupied.sum()
@@ -209,7 +231,7 @@ def _msfcel(logits, index):
 
 def _at_surface(volume, index):
   """[B, C, X, Y, Z] at the surface voxels: [B, S, C] float32."""
-  sample = torch.arange(len(index))[:, None].expand(index.shape[:2])
+  sample = torch.arange(len(index), device=index.device)[:, None].expand(index.shape[:2])
   return volume[sample, :, index[..., 0], index[..., 1], index[..., 2]].float()
 
 
