@@ -29,17 +29,20 @@ _SMALLEST_HEAP = 256 << 20  # bytes
 
 
 def prepare() -> None:
-  """Applies all settings to this process; call it before the first computation."""
+  """Applies all settings to this process; call it before the first computation.
+
+  If JAX_PLATFORMS requests a device that does not exist, the process ends with one line.
+  """
   keep_memory()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
 
 
 def check_platforms() -> None:
-  """Checks that JAX_PLATFORMS names platforms of this machine; looks for their devices.
+  """Ends the process if the user requests a platform without a device.
 
   Raises:
-    UserError: a platform has no device here.
+    SystemExit: with the line to print.
   """
   asked = jax.config.jax_platforms
   if not asked:
@@ -56,9 +59,9 @@ def check_platforms() -> None:
 def keep_memory() -> bool:
   """Makes the C library keep freed memory for the next request; returns whether it does.
 
-  Large blocks come from the heap instead of mappings of their own, all threads share one heap, and
-  the heap never shrinks. Half of the machine's memory is reserved as address space, so that huge
-  pages can be asked for; pages that nobody touches take no memory.
+  Large blocks come from the heap instead of separate mappings, all threads share one heap, and the
+  heap never shrinks. Half of the machine's memory is reserved as address space, so that huge pages
+  can be requested; untouched pages take no memory.
   """
   chosen = any(v in ('LD_PRELOAD', 'GLIBC_TUNABLES') or v.startswith('MALLOC_') for v in os.environ)
   if chosen or sys.platform != 'linux' or libc() != 'glibc':

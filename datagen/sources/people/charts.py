@@ -84,7 +84,7 @@ def chart(data: BodyData, vertices: np.ndarray, at: Mapping[str, np.ndarray]) ->
 
 
 def _along_arm(vertices, at, s, is_forearm):
-  """[V] each: position along one arm, share of a turn about it, distance from the shoulder in dm."""
+  """[V] each: position along an arm, share of a turn about it, distance from the shoulder in dm."""
   shoulder, elbow, hand = (at[f'{b}_{s}'] for b in ('upperarm', 'lowerarm', 'hand'))
   upper, upper_around = _about(vertices, shoulder, elbow)
   lower, lower_around = _about(vertices, elbow, hand)
