@@ -36,10 +36,10 @@ def prepare() -> None:
 
 
 def check_platforms() -> None:
-  """Checks that JAX_PLATFORMS names platforms of this machine; looks for their devices.
+  """Checks that every platform in JAX_PLATFORMS has a device; initialises JAX's backends.
 
   Raises:
-    UserError: a platform has no device here.
+    UserError: a platform has no device on this machine.
   """
   asked = jax.config.jax_platforms
   if not asked:
@@ -49,16 +49,16 @@ def check_platforms() -> None:
   except Exception as e:  # RuntimeError or, for CUDA without a driver, an assertion of JAX's
     why = ' '.join(str(e).split()) or 'no such device'
     raise UserError(
-      f'JAX_PLATFORMS={asked} cannot be had here: unset it, or set it to cpu ({why})'
+      f'JAX_PLATFORMS={asked} is not available on this machine: unset it, or set it to cpu ({why})'
     ) from e
 
 
 def keep_memory() -> bool:
   """Makes the C library keep freed memory for the next request; returns whether it does.
 
-  Large blocks come from the heap instead of mappings of their own, all threads share one heap, and
-  the heap never shrinks. Half of the machine's memory is reserved as address space, so that huge
-  pages can be asked for; pages that nobody touches take no memory.
+  Large blocks come from the heap instead of separate mappings, all threads share one heap, and the
+  heap never shrinks. Half of the machine's memory is reserved as address space, so that huge pages
+  can be requested; untouched pages take no memory.
   """
   chosen = any(v in ('LD_PRELOAD', 'GLIBC_TUNABLES') or v.startswith('MALLOC_') for v in os.environ)
   if chosen or sys.platform != 'linux' or libc() != 'glibc':
