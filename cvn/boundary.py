@@ -1,7 +1,7 @@
-"""The faces between occupied and empty voxels: what of a coloured shape can be seen.
+"""The faces between occupied and empty voxels: the visible boundary of a coloured shape.
 
-Corners are points of the lattice that the voxels' corners form: (i, j, k) is the lower corner of
-voxel (i, j, k), the outermost ones lie on the cube's surface.
+Corners are points of the lattice formed by the voxels' corners: (i, j, k) is the lower corner of
+voxel (i, j, k); the outermost ones lie on the cube's surface.
 """
 
 from typing import NamedTuple

@@ -32,10 +32,10 @@ NOT_COMPARED = ('data', 'categories')  # the data set is identified by its diges
 
 
 def start(workdir: str, config: dict[str, Any]) -> None:
-  """Begins a run, or checks that the run begun there is this one.
+  """Begins a run, or checks that an existing run is the same.
 
   Args:
-    workdir: the folder; made where it is missing.
+    workdir: the folder; it is created if missing.
     config: 'network', a key of networks.NETWORKS, and every setting that must not change; JSON
       values.
 
@@ -52,12 +52,12 @@ def start(workdir: str, config: dict[str, Any]) -> None:
 
 
 def compare(place: str, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-  """Checks that what was made has the configuration that is asked for, field by field.
+  """Compares a stored configuration with the requested one, field by field.
 
   Args:
-    place: the folder or file of what was made, for the message.
-    stored: the configuration it was made with; JSON values.
-    asked: the configuration that is wanted.
+    place: the folder or file, for the message.
+    stored: the configuration that is stored there; JSON values.
+    asked: the requested configuration.
 
   Raises:
     UserError: a field differs; the message has its name, both values and the way out.
@@ -96,7 +96,7 @@ def read_config(workdir: str) -> dict[str, Any]:
 
 
 def latest_step(workdir: str) -> int | None:
-  """The step of the newest checkpoint, None where there is none yet."""
+  """The step of the newest checkpoint; None if there is none yet."""
   return max(_steps(workdir), default=None)
 
 
@@ -179,14 +179,14 @@ def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, A
 
   Args:
     workdir: the run's folder.
-    kinds: of network that are of use.
+    *kinds: accepted kinds of networks; any by default.
 
   Returns:
-    (config, variables): the run's settings, and {'params', 'batch_stats'} of its newest
-    checkpoint as numpy arrays, on whatever devices it was trained.
+    (config, variables): the run's settings, and {'params', 'batch_stats'} of its newest checkpoint
+    as numpy arrays, whatever devices it was trained on.
 
   Raises:
-    UserError: there is no such network in the folder, no checkpoint yet, or a damaged one.
+    UserError: the folder has no such network, no checkpoint yet, or a damaged one.
   """
   config = read_config(workdir)
   if config.get('network') not in kinds:
@@ -252,7 +252,7 @@ def _load(workdir, step, load):
 
 @contextlib.contextmanager
 def _quiet():
-  """Orbax logs all it does, and the tracebacks of errors that it raises besides."""
+  """Silences Orbax, which logs everything and prints tracebacks of errors that it also raises."""
   before = logging.get_verbosity()
   logging.set_verbosity(logging.FATAL)
   try:
@@ -262,7 +262,7 @@ def _quiet():
 
 
 def _reason(e: BaseException) -> str:
-  """The error that started it all, in a line; of a long one the end, where storage says why."""
+  """The original error in one line; of a long one the end, where storage errors give the reason."""
   while e.__cause__ is not None:
     e = e.__cause__
   line = (str(e).strip() or type(e).__name__).split('\n', 1)[0].split(' [', 1)[0]

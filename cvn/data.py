@@ -90,7 +90,7 @@ def select_rows(
 
 
 def max_voxels(dataset: Dataset) -> int:
-  """S: the most voxels a finished model of the data set has, up to the next VOXEL_MULTIPLE.
+  """S: the maximum number of surface voxels of a finished model, rounded up to VOXEL_MULTIPLE.
 
   Raises:
     UserError: no model is finished.
@@ -182,13 +182,13 @@ def read_color(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> Bat
 
 
 def read_name(dataset: Dataset, row: int, view: int, *, max_voxels: int) -> str:
-  """An element's model and azimuth; batches of them say what is in those of `read_color`.
+  """An element's model and azimuth; batches of them describe the elements of `read_color`.
 
   Args:
     dataset: the open data set.
-    row: of the model.
+    row: row of the model.
     view: its number.
-    max_voxels: for nothing, as all readers have it.
+    max_voxels: unused; all readers have this argument.
   """
   del max_voxels
   return f'{dataset.manifest.models[row].id} at {dataset.manifest.azimuths[view]:g}'

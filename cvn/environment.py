@@ -19,6 +19,8 @@ import sys
 
 import jax
 
+from cvn.errors import UserError
+
 # Parameters of mallopt (malloc.h) and of madvise.
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_MAX, _ARENA_MAX = -1, -2, -4, -8
 _MADV_HUGEPAGE = 14
@@ -27,21 +29,17 @@ _SMALLEST_HEAP = 256 << 20  # bytes
 
 
 def prepare() -> None:
-  """Applies all settings to this process; call it before the first computation.
-
-  A device that JAX_PLATFORMS asks for and that is not there ends the process, with one line.
-  """
+  """Applies all settings to this process; call it before the first computation."""
   keep_memory()
-  check_platforms()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
 
 
 def check_platforms() -> None:
-  """Ends the process if the user asks for a platform without a device.
+  """Checks that every platform in JAX_PLATFORMS has a device; initialises JAX's backends.
 
   Raises:
-    SystemExit: with the one line to print.
+    UserError: a platform has no device on this machine.
   """
   asked = jax.config.jax_platforms
   if not asked:
@@ -50,17 +48,17 @@ def check_platforms() -> None:
     jax.devices()
   except Exception as e:  # RuntimeError or, for CUDA without a driver, an assertion of JAX's
     why = ' '.join(str(e).split()) or 'no such device'
-    raise SystemExit(
-      f'error: JAX_PLATFORMS={asked} cannot be had here: unset it, or set it to cpu ({why})'
+    raise UserError(
+      f'JAX_PLATFORMS={asked} is not available on this machine: unset it, or set it to cpu ({why})'
     ) from e
 
 
 def keep_memory() -> bool:
   """Makes the C library keep freed memory for the next request; returns whether it does.
 
-  Large blocks come from the heap instead of mappings of their own, all threads share one heap, and
-  the heap never shrinks. Half of the machine's memory is reserved as address space, so that huge
-  pages can be asked for; pages that nobody touches take no memory.
+  Large blocks come from the heap instead of separate mappings, all threads share one heap, and the
+  heap never shrinks. Half of the machine's memory is reserved as address space, so that huge pages
+  can be requested; untouched pages take no memory.
   """
   chosen = any(v in ('LD_PRELOAD', 'GLIBC_TUNABLES') or v.startswith('MALLOC_') for v in os.environ)
   if chosen or sys.platform != 'linux' or libc() != 'glibc':

@@ -1,4 +1,4 @@
-"""The one exception that means: the user can mend this. Programs print it as one line."""
+"""The exception for problems that the user can solve. Programs print it as one line."""
 
 import sys
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from absl import app, flags, logging
 
 
 class UserError(Exception):
-  """Bad input: names the file or value and the way out, in one line."""
+  """Bad input; the message names the file or value and the way out, in one line."""
 
 
 def run(main: Callable[[list[str]], int | None]) -> None:

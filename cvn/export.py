@@ -103,13 +103,12 @@ def write_ply(path: str, voxels: grid.ColoredVoxels, *, up: str = 'y') -> None:
   """Writes a binary PLY file with colours (uchar red, green, blue) on its vertices.
 
   Args:
-    path: of the file.
+    path: the file.
     voxels: occupancy [X, X, X] bool, color [X, X, X, 3] in [0, 1].
-    up: 'y', as everywhere here, or 'z', as Blender and CAD programs have it: the front then looks
-      towards -y.
+    up: 'y', as elsewhere here, or 'z', as in Blender and CAD programs; the front then faces -y.
 
   Raises:
-    UserError: no voxel is occupied, or the place cannot be written.
+    UserError: no voxel is occupied, or the file cannot be written.
   """
   mesh = surface_mesh(voxels)
   x, y, z = mesh.vertices.T

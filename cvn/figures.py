@@ -35,7 +35,7 @@ _TEXT_COLOR = (40, 40, 40)
 
 
 def flow_color_code(flow: Any) -> Any:
-  """The paper's colour code of a flow field (Figure "flow_field", a): one colour a (u, v).
+  """The paper's colour code of a flow field (Figure "flow_field", a): a colour for each (u, v).
 
   Args:
     flow: [..., 2] (u, v) in [0, 1].
@@ -133,11 +133,11 @@ def enlarge(image: Any, size: int) -> np.ndarray:
 
 
 def trim(rows: Sequence[Sequence[np.ndarray]], *, margin: int = 4) -> list[list[np.ndarray]]:
-  """Cuts off the white that a whole row has above and below, and a whole column left and right.
+  """Crops white margins shared by all images of a row (above, below) or column (left, right).
 
   Args:
     rows: uint8 images [H, W, 3] of one size; rows of one length.
-    margin: pixels of white that stay.
+    margin: pixels of white to keep.
   """
   ink = np.any(np.array(rows) < 255, axis=-1)  # [rows, columns, H, W]
 
@@ -227,7 +227,7 @@ def grid_of_images(
 
 
 def reconstruction_panel(view: np.ndarray, reconstruction: Any, *, size: int = 192) -> np.ndarray:
-  """A view's way through the networks (paper, Figure "res_vis").
+  """The volumes between a view and its reconstruction (paper, Figure "res_vis").
 
   Input, flow in the colour code, sampled colour, regressed colour, the blend's weight (yellow: the
   sampled colour counts, blue: the regressed), blended colour, and the result from two other sides.
@@ -236,7 +236,7 @@ def reconstruction_panel(view: np.ndarray, reconstruction: Any, *, size: int = 1
   Args:
     view: uint8 [H, W, 3 or 4].
     reconstruction: a `cvn.infer.Reconstruction` of this view, by a shape and a colour network.
-    size: height and width of each image in pixels, 160 at least to hold the captions.
+    size: height and width of each image in pixels, at least 160 for the captions.
 
   Returns:
     uint8 [H, W, 3].

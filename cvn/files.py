@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files written atomically, and locks."""
 
 import contextlib
 import os
@@ -19,10 +19,10 @@ except ImportError:  # not a POSIX system
 def atomic_write(path: str) -> Iterator[str]:
   """Yields a temporary name beside `path`, with its suffix, and renames it to `path` at the end.
 
-  The folder is made where it is missing. When the body raises, nothing is left behind.
+  The folder is created if missing. If the body raises, nothing is left behind.
 
   Raises:
-    UserError: the place cannot be written (no permission, no space, a file where a folder is due).
+    UserError: the file cannot be written (permission, space, or a file in the place of a folder).
   """
   folder, name = os.path.split(os.path.abspath(path))
   try:
@@ -44,14 +44,14 @@ def atomic_write(path: str) -> Iterator[str]:
 
 @contextlib.contextmanager
 def locked(path: str | os.PathLike, *, seconds: float = 60) -> Iterator[None]:
-  """Lets one process at a time run the body, as far as that is possible.
+  """Lets one process at a time run the body, if possible.
 
-  The body runs without the lock if the file cannot be made, if its system has no locks, or if
-  another process holds the lock for too long: it may have been stopped.
+  The body runs without the lock if the file cannot be created, the system has no locks, or another
+  process (maybe a stopped one) holds the lock for too long.
 
   Args:
-    path: of the lock, an empty file that stays.
-    seconds: how long to wait for another process.
+    path: the lock, an empty file that stays.
+    seconds: maximum time to wait for another process.
   """
   with contextlib.ExitStack() as stack:
     with contextlib.suppress(OSError, AttributeError):
@@ -73,10 +73,10 @@ def locked(path: str | os.PathLike, *, seconds: float = 60) -> Iterator[None]:
 def exclusive(folder: str) -> Iterator[None]:
   """Keeps other processes out of a folder while the body runs.
 
-  The lock goes with the process, however it ends. Where the file system has no locks there is none.
+  The lock ends with the process, however that ends. File systems without locks do not lock.
 
   Args:
-    folder: it exists; `.lock` in it names the process that holds the lock, and stays.
+    folder: an existing folder; `.lock` in it names the process that holds the lock, and stays.
 
   Raises:
     UserError: another process holds the lock.

@@ -54,9 +54,9 @@ def load(
 
   Args:
     workdir: the run's folder.
-    kinds: of network that are of use.
-    image_size: of the views, pixels.
-    grid_size: of the volumes.
+    *kinds: accepted kinds of networks; any by default.
+    image_size: size of the views, pixels.
+    grid_size: size of the volumes.
 
   Raises:
     UserError: the folder has no such network, no checkpoint yet, or one for another size.
@@ -121,21 +121,21 @@ def reconstruct_alphas(
   """`reconstruct` with several values of alpha; the networks run once.
 
   Args:
-    views: as of `reconstruct`, like all that follows but alphas.
+    views: see `reconstruct`, also for the other arguments.
     alphas: each in (0, 1].
-    shape: for occupancies.
-    color: for colours.
-    threshold: of occupancy.
+    shape: network for occupancies.
+    color: network for colours.
+    threshold: occupancy threshold.
     flip: whether to average with the mirrored views.
     carve: whether to carve shapes.
-    azimuths: for `carve`.
+    azimuths: azimuths for `carve`, degrees.
 
   Yields:
     A reconstruction for each alpha. Only colours and weights depend on it.
 
   Raises:
     ValueError: views have another shape, or there is no network.
-    UserError: an alpha is outside (0, 1], or a network is not of a suitable kind.
+    UserError: an alpha is outside (0, 1], or a network has an unsuitable kind.
   """
   views = jnp.asarray(views)
   batch = views[None] if views.ndim == 3 else views

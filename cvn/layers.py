@@ -72,7 +72,7 @@ class Norm(nn.Module):
 
 
 class VolumeNorm(nn.Module):
-  """The same of a volume, whose sums are known."""
+  """`Norm` of a volume whose sums are known."""
 
   activation: Activation
 
@@ -105,7 +105,7 @@ def _normalized(module: nn.Module, x, activation, train):
 
 
 def _pend_norm(module: nn.Module, x, sums, activation, train) -> PendingNorm:
-  """The same of a volume."""
+  """`_normalized` of a volume."""
   return VolumeNorm(activation, name='norm')(x, sums, _bias(module, x), train)
 
 

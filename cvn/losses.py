@@ -1,9 +1,8 @@
 """Losses: pure functions of arrays of any leading shape, to a scalar.
 
-A mask says which voxels lie on the surface. Whatever stands where the mask is False, NaN included,
-changes neither value nor gradient, so predictions may be dense volumes or gathered at sparse
-indices with padding. A mean over no voxel is 0, and so is its gradient: a volume (or a batch) that
-has no voxel of a kind says nothing about that kind.
+A mask marks surface voxels. Values where the mask is False, NaN included, change neither the loss
+nor its gradient, so predictions may be dense volumes or gathered at sparse indices with padding. A
+mean over no voxels is 0, and so is its gradient.
 """
 
 from collections.abc import Callable

@@ -54,10 +54,10 @@ def iou(predicted: Any, true: Any) -> Any:
 
 
 def iou_at(score: np.ndarray, true: np.ndarray, thresholds: Sequence[float]) -> np.ndarray:
-  """The IoU of what scores above a threshold, for many thresholds at once.
+  """The IoU for many thresholds at once.
 
   Args:
-    score: [X, Y, Z] how occupied voxels are.
+    score: [X, Y, Z] occupancy scores.
     true: [X, Y, Z] bool.
     thresholds: [T], increasing.
 

@@ -191,7 +191,7 @@ def central_directory(path, at, value):
     ((16, 20), 1, 'damaged'),  # the checksum
     ((20, 24), 5, 'damaged'),  # the packed size
     ((42, 46), 7, 'damaged'),  # where it starts
-    ((10, 12), 98, 'anew'),  # how it is packed
+    ((10, 12), 98, 'deflate'),  # how it is packed
     ((8, 10), 1, 'unpacked'),  # encrypted
   ],
 )

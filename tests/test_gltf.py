@@ -164,7 +164,7 @@ def test_gpu_instances():
   [
     ({'extensionsRequired': ['KHR_draco_mesh_compression']}, 'packed with KHR_draco.*gltf-tr'),
     ({'extensionsRequired': ['EXT_meshopt_compression']}, 'packed with EXT_meshopt_compression'),
-    ({'extensionsRequired': ['ACME_knots']}, 'needs the extension ACME_knots'),
+    ({'extensionsRequired': ['ACME_knots']}, 'requires the extension ACME_knots'),
     ({'asset': {'version': '1.0'}}, r'glTF 1\.0, not 2\.0: convert it'),
     ({'meshes': {'a': {}}}, r'glTF 1\.0'),
     ({'asset': {'version': '3.0'}}, r'glTF 3\.0'),

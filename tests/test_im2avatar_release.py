@@ -131,7 +131,7 @@ def nothing(data):
     (lambda m: (m / 'models/model_normalized_16.h5').unlink(), 'model_normalized_16.h5'),
     (lambda m: (m / 'models/model_normalized_16.h5').write_text('?'), 'cannot be read as HDF5'),
     (lambda m: write(m / 'models/model_normalized_16.h5', np.zeros((8, 8, 8, 3))), 'not numbers'),
-    (damage('models/model_normalized_16.h5', surface_nan), 'at 1 of .* outside .* as nan'),
+    (damage('models/model_normalized_16.h5', surface_nan), ' 1 of .* outside .* as nan'),
     (damage('models/model_normalized_16.h5', surface_bright), r'values outside \[0, 1\]'),
     (damage('models/model_normalized_16.h5', nothing), '0 surface voxels'),
     (damage('models/16_0.523_coor.h5', nothing), '16_0.523_coor.h5: .* outside .* as -1'),

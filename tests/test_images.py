@@ -107,10 +107,10 @@ def test_shrinks(mode):
 @pytest.mark.parametrize(
   ('content', 'reason'),
   [
-    (b'', 'no picture'),
-    (b'<svg/>', 'no picture'),
-    (b'\x89PNG\r\n\x1a\n', 'no picture'),
-    (encoded(picture(), 'EPS'), 'no picture'),  # a program that an interpreter would run
+    (b'', 'not a readable image'),
+    (b'<svg/>', 'not a readable image'),
+    (b'\x89PNG\r\n\x1a\n', 'not a readable image'),
+    (encoded(picture(), 'EPS'), 'not a readable image'),  # a program that an interpreter would run
     (png_header(8192, 8193), '8192 x 8193 pixels'),
     (png_header(30000, 30000), f'more than {MAX_PIXELS} pixels'),
     (png_header(2**31 - 1, 2**31 - 1), 'pixels'),

@@ -58,7 +58,7 @@ def test_records_that_do_not_tell_what_is_visible(tmp_path, capsys):
     tmp_path / 'data', 2, image_size=32, grid_size=32, categories=('ball', 'egg')
   )
   inspected(f'--data={tmp_path / "data"}', '--id=m1', '--sheet=')
-  own = capsys.readouterr().out.split('colour')[1].split(', by')[0].strip()
+  own = capsys.readouterr().out.split('colour')[1].split('),')[0].strip()
   record = dataset_lib.read_record(made, 0)
   unseen = record._replace(visible=np.zeros_like(record.visible))
   dataset_lib.write_record(made.arrays, 0, unseen)

@@ -55,7 +55,7 @@ def test_corners_of_every_form(tmp_path, monkeypatch, piece):
 
 @pytest.mark.parametrize('face', ['0 1 2', '-4 1 2', '1//0 2//0 0//0', '1 2 4', '1/1 2/2 9/3'])
 def test_vertices_that_are_not_there(tmp_path, face):
-  with pytest.raises(UserError, match='names a vertex that (does not exist|is out of bounds)'):
+  with pytest.raises(UserError, match=r'names a vertex that (does not exist|is out of bounds)'):
     read(tmp_path, POINTS + f'f {face}'.encode())
 
 

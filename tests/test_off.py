@@ -72,7 +72,7 @@ def test_counts_in_the_first_line():
     (b'', 'no header'),
     (b'PLY\n', 'no header'),
     (b'OFF BINARY\n', 'save it as OFF text'),
-    (b'nOFF\n4\n3 1 0\n', 'three dimensions'),
+    (b'nOFF\n4\n3 1 0\n', 'not three-dimensional'),
     (b'OFF\n', 'does not say'),
     (b'OFF\n3 x 0\n', 'does not say'),
     (b'OFF\n-3 1 0\n', 'holds fewer'),

@@ -264,7 +264,7 @@ def test_a_picture_is_not_mirrored_on_any_side():
   [
     ('aeroplane', '', 3, 0, 'car, chair, guitar, human, table'),
     (None, '', 3, 0, 'car, chair, guitar, human, table'),
-    ('chair', '/some/folder', 3, 0, 'reads no folder'),
+    ('chair', '/some/folder', 3, 0, 'reads no input'),
     ('chair', '', 3, -1, 'seed'),
     ('chair', '', 0, 0, 'limit'),
   ],

@@ -1,4 +1,4 @@
-"""How a coloured shape looks from all around, compared with the true one: PSNR and SSIM.
+"""Rendered images of a coloured shape compared with those of the true shape: PSNR and SSIM.
 
 Both shapes are drawn without light by the same simple renderer: each voxel covers the pixels whose
 centres lie in the bounding box of its projection, nearer voxels cover farther ones. The cameras are

@@ -1,8 +1,8 @@
-"""What memory alone reaches: the training model that is most like a picture, or like the truth.
+"""Retrieval baselines: the training model most similar to an image, or to the truth.
 
-A network that only recognises what it has seen does no better than looking up the training model of
-the most similar view (Tatarchenko et al. 2019). The nearest training model to the truth bounds what
-any such look-up can reach; it knows the answer, so it is no method.
+A network that only recognises what it has seen does no better than retrieving the training model of
+the most similar view (Tatarchenko et al. 2019). The training model nearest to the truth is an upper
+bound for retrieval; it uses the truth, so it is not a method.
 """
 
 import functools

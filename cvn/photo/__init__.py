@@ -1,10 +1,10 @@
-"""Any picture -> the view the networks were trained on.
+"""Any image -> the view the networks were trained on.
 
-  reading.py   the file -> upright sRGB pixels
-  masks.py     where the object is, by alpha, ground.py or matting.py
-  framing.py   the object -> a view
+  reading.py   image file -> upright sRGB pixels
+  masks.py     foreground mask, from alpha, ground.py or matting.py
+  framing.py   foreground -> view
 
-`load_photo` tells everything about a picture, `load_view` returns the view alone.
+`load_photo` returns all results for an image, `load_view` the view alone.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ __all__ = ['Photo', 'load_photo', 'load_view']
 
 
 class Photo(NamedTuple):
-  """A picture that was made a view."""
+  """An image converted to a view."""
 
   view: np.ndarray  # [S, S, 4] u8, sRGB and alpha
   mask: np.ndarray  # [H, W] u8, the object in the upright picture: 0 outside
@@ -35,18 +35,18 @@ def load_photo(
   mask: str | None = None,
   framed: bool | None = None,
 ) -> Photo:
-  """Reads a picture, finds its object and puts it into the framing of the training views.
+  """Reads an image, finds the object and crops it to the framing of the training views.
 
   Args:
     path: PNG, JPEG, WebP, AVIF, GIF (first frame), BMP, TIFF, JPEG 2000, PPM or TGA; any colour
       mode and profile, 8 to 16 bits or float; EXIF orientation is applied.
     image_size: height and width of the view.
-    mask: a picture of the same size, white (or opaque) where the object is.
-    framed: whether the picture is a view already, whose framing stays; None: where it looks so.
+    mask: path of a mask: an image of the same size, white (or opaque) on the object.
+    framed: whether the image already has a view's framing, which is then kept; None to detect it.
 
   Raises:
-    UserError: a file cannot be read, the mask does not fit, the picture shows nothing (all
-      transparent, or all one colour), or nothing tells its object from the background.
+    UserError: a file cannot be read, the mask does not fit, the image is empty (transparent or a
+      single colour), or the object cannot be separated from the background.
   """
   rgba, notes = reading.read_picture(path)
   given = None if mask is None else reading.read_mask(mask, rgba.shape[:2])

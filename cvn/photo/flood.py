@@ -1,7 +1,7 @@
-"""The ground of a picture: what smooth shading connects to the border.
+"""The background of an image: everything that smooth shading connects to its border.
 
-Images are float32 [H, W, 3], values 0 to 255; masks are bool [H, W]. The constants are chosen by
-us; the paper has no photos.
+Images are float32 [H, W, 3], values 0 to 255; masks are bool [H, W]. The constants are our choice;
+the paper has no photos.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def largest(values: np.ndarray) -> np.ndarray:
 
 
 def estimate_noise(image: np.ndarray) -> float:
-  """The standard deviation of the noise, from the calmer half of the picture's border."""
+  """The standard deviation of the noise, from the smoother half of the image's border."""
   width = max(2, round(0.03 * min(image.shape[:2])))
   residual = largest(image - ndimage.gaussian_filter(image, (1.5, 1.5, 0)))
   ring = np.ones(residual.shape, bool)
@@ -32,10 +32,10 @@ def estimate_noise(image: np.ndarray) -> float:
 
 
 def find_smooth(image: np.ndarray, noise: float) -> np.ndarray:
-  """Where there is no edge.
+  """[H, W] bool, True where there is no edge.
 
-  An edge answers to a band-pass filter by more than noise and more than a blurred one (a shadow's)
-  would, whose answer is small beside its slope.
+  The response of a band-pass filter marks an edge if it exceeds that of noise and that of a blurred
+  edge (a shadow's), whose response is small compared with its slope.
   """
   fine, coarse, limit, per_slope = _CLEAN if noise < 0.5 else (*_GRAINY, max(1.2, 0.8 * noise), 0.9)
   margin = int(3 * coarse)
@@ -48,15 +48,15 @@ def find_smooth(image: np.ndarray, noise: float) -> np.ndarray:
 
 
 def find_grounds(image: np.ndarray, smooth: np.ndarray, noise: float) -> list[np.ndarray]:
-  """Masks of the ground: one, or two where wall and floor meet in a line across the picture.
+  """Masks of the background: one, or two if wall and floor meet in a line across the image.
 
   Args:
     image: [H, W, 3].
-    smooth: [H, W], where there is no edge.
+    smooth: [H, W], True where there is no edge.
     noise: its standard deviation.
 
   Returns:
-    [H, W] bool each; empty where no smooth region touches the border.
+    [H, W] bool each; none if no smooth region touches the border.
   """
   regions, _ = ndimage.label(smooth)
   sides = [regions[0], regions[-1], regions[:, 0], regions[:, -1]]
@@ -91,7 +91,7 @@ def find_grounds(image: np.ndarray, smooth: np.ndarray, noise: float) -> list[np
 
 
 def _flood(image, model, own, smooth, noise, brightest):
-  """Smooth shades of the ground that are connected to where it touches the border."""
+  """Smooth shades of the background that are connected to its pixels on the border."""
   shade = smooth & is_shade(image, model, noise, brightest=brightest)
   label, _ = ndimage.label(ndimage.binary_erosion(shade, np.ones((3, 3)), _LEAK, border_value=1))
   near = largest(image - model) <= max(16, 3 * noise)
@@ -102,7 +102,7 @@ def _flood(image, model, own, smooth, noise, brightest):
 
 
 def _fit(image, region):
-  """The ground's colour everywhere: a parabola in x and y, from a region of it."""
+  """The background's colour everywhere: a parabola in x and y fitted to a region of it."""
   height, width = region.shape
   v, u = np.mgrid[0:height, 0:width].astype(np.float32)
   u, v = 2 * u / max(1, width - 1) - 1, 2 * v / max(1, height - 1) - 1
@@ -122,13 +122,13 @@ def _fit(image, region):
 def is_shade(
   image: np.ndarray, model: np.ndarray, noise: float, *, brightest: float = _BRIGHTER
 ) -> np.ndarray:
-  """Where a colour is the ground's, in shadow or a little brighter.
+  """Where a colour is the background's, in shadow or slightly brighter.
 
   Args:
     image: [H, W, 3].
-    model: [H, W, 3], the ground's colour in full light.
+    model: [H, W, 3], the background's colour in full light.
     noise: its standard deviation.
-    brightest: the largest brightness, as a part of the ground's.
+    brightest: maximum brightness relative to the background's.
   """
   scale = (image * model).sum(-1) / np.maximum((model * model).sum(-1), 1)
   dark = model.max(-1) < 24
@@ -138,7 +138,7 @@ def is_shade(
 
 
 def extend(image: np.ndarray, ground: np.ndarray) -> np.ndarray:
-  """The ground's colour, smoothed a little, and beyond the ground that of its nearest pixel."""
+  """The background's colour, slightly smoothed; outside it, that of its nearest pixel."""
   weight = ground.astype(np.float32)
   total = np.maximum(ndimage.gaussian_filter(weight, 2), 1e-6)
   own = ndimage.gaussian_filter(image * weight[..., None], (2, 2, 0)) / total[..., None]

@@ -1,9 +1,9 @@
-"""From an object in a picture to the view that the networks were trained on.
+"""From an object in an image to a view.
 
-A view is u8 RGBA [S, S, 4], square, colours as sRGB, alpha 0 on the background. The object's
-bounding box goes to the middle, its longer side as long as the longest side of a normalised object
-at the distance of the world's origin, 77.5 of 128 pixels. That is exact where the longest side is
-seen in full; how much shorter it looks from elsewhere is not known here.
+A view is u8 RGBA [S, S, 4], square, sRGB, alpha 0 on the background. The object's bounding box is
+centred, its longer side as long as the longest side of a normalised object at the distance of the
+world's origin, 77.5 of 128 pixels. That is exact if the longest side is seen in full; how much
+shorter it looks from elsewhere is unknown.
 """
 
 import numpy as np
@@ -18,14 +18,14 @@ _SMALLEST = 0.15  # the longer side of an object in a view, of the view's size
 
 
 def find_framed(rgba: np.ndarray, image_size: int) -> np.ndarray | None:
-  """The object's mask, if a picture looks like a data set's view; None otherwise.
+  """The object's mask if an image looks like a data set's view, otherwise None.
 
-  Such a view has the networks' size and a ground that is transparent or of one colour to the last
-  digit, with the object in the middle and clear of the edge.
+  Such a view has the networks' size and a background that is transparent or exactly one colour,
+  with the object centred and clear of the edges.
 
   Args:
     rgba: [H, W, 4] u8.
-    image_size: the views' height and width.
+    image_size: height and width of the views.
   """
   if rgba.shape[:2] != (image_size, image_size):
     return None
@@ -42,7 +42,7 @@ def find_framed(rgba: np.ndarray, image_size: int) -> np.ndarray | None:
 
 
 def framed_mask(rgba: np.ndarray) -> np.ndarray | None:
-  """The object's mask [H, W] on an exact ground; None where the ground is not exact."""
+  """The object's mask [H, W] on a background of exactly one colour; otherwise None."""
   if rgba[..., 3].min() < 255:
     border = np.concatenate([rgba[0], rgba[-1], rgba[:, 0], rgba[:, -1]])[..., 3]
     return rgba[..., 3] > 0 if (border == 0).mean() > 0.5 else None
@@ -61,7 +61,7 @@ def reframe(rgb: np.ndarray, alpha: np.ndarray, image_size: int) -> np.ndarray:
 
   Args:
     rgb: [H, W, 3] u8.
-    alpha: [H, W] u8, 0 outside of the object.
+    alpha: [H, W] u8, 0 outside the object.
     image_size: height and width of the view.
 
   Returns:

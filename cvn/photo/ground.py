@@ -1,18 +1,18 @@
-"""The object on a plain or smoothly shaded ground.
+"""The object on a plain or smoothly shaded background (ground).
 
-The ground is what smooth shading connects to the picture's border: gradients of a studio, vignettes
-and soft shadows have no edge, while the object has one even where it is as pale as the ground. In
-detail:
+The background is everything that smooth shading connects to the image's border: studio gradients,
+vignettes and soft shadows have no edge, while an object has one even if it is as pale as the
+background. In detail:
 
   1. letter boxes and frames are cut off;
-  2. pixels where a band-pass filter finds an edge stop a flood from the border; so does a colour
-     that is no lighter or darker shade of the ground's;
-  3. beyond the flood, a pixel belongs to the object if it differs from the nearest ground by more
-     than the noise and by more than half of what its neighbours differ;
-  4. enclosed areas in the ground's very colour are gaps.
+  2. a flood from the border stops at edges, found by a band-pass filter, and at colours that are
+     not a lighter or darker shade of the background's;
+  3. beyond the flood, a pixel belongs to the object if it differs from the nearest background by
+     more than the noise, and by more than half of its neighbours' difference;
+  4. enclosed areas with exactly the background's colour are gaps.
 
-Images are float32 [H, W, 3], values 0 to 255; masks are bool [H, W]. The constants are chosen by
-us; the paper has no photos.
+Images are float32 [H, W, 3], values 0 to 255; masks are bool [H, W]. The constants are our choice;
+the paper has no photos.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ _LINE = 6  # how far ground goes on beyond what was found of it, in pixels
 
 
 class Found(NamedTuple):
-  """An object and what is doubtful about it."""
+  """An object and the doubts about it."""
 
   mask: np.ndarray  # [H, W] bool
   warnings: tuple[str, ...]  # ends of sentences that begin with the file's name
@@ -48,14 +48,14 @@ class Found(NamedTuple):
 
 
 def find_object(rgb: np.ndarray) -> Found | None:
-  """The object in front of a plain or smoothly shaded ground.
+  """The object in front of a plain or smoothly shaded background.
 
   Args:
     rgb: [H, W, 3], u8.
 
   Returns:
-    The object, all False in the mask where the whole picture is ground; None where the border
-    shows no such ground.
+    The object, with an empty mask if the whole image is background; None if the border shows no
+    such background.
   """
   image = np.asarray(rgb, np.float32)
   box = _inside_of_frame(image)
@@ -115,7 +115,7 @@ def _find(image):
 
 
 def _difference(image, grounds):
-  """How much a pixel differs from the nearest ground, or from a mixture where two grounds meet."""
+  """Difference between a pixel and the nearest background, or a mixture where two of them meet."""
   local = [extend(image, g) for g in grounds]
   difference = np.min([largest(image - x) for x in local], axis=0)
   if len(grounds) > 1:
@@ -130,10 +130,10 @@ def _difference(image, grounds):
 
 
 def _limits(image, difference, ground, tolerance):
-  """Contrast within 3 pixels, the trace of a codec, and how much ground may differ near the object.
+  """Contrast within 3 pixels, codec artefacts, and the tolerance of the background near the object.
 
-  There, shading goes on by its slope, and an edge's blur (half of the contrast) and what a codec
-  leaves around it are ground as well.
+  Near the object, shading continues with its slope. The blur of an edge (half of the contrast) and
+  codec artefacts around it also belong to the background.
   """
   near = ndimage.maximum_filter(difference, 7)
   away, nearest = ndimage.distance_transform_edt(~ground, return_indices=True)
@@ -152,10 +152,10 @@ def _limits(image, difference, ground, tolerance):
 
 
 def _without_gaps(mask, label, count, difference, tolerance):
-  """The mask without gaps, and how many there are.
+  """The mask without gaps, and the number of gaps.
 
-  A gap is an enclosed area where at least some pixels have the ground's very colour and whose
-  outline is an edge; a highlight in that colour fades into the object.
+  A gap is an enclosed area that partly has exactly the background's colour and is outlined by an
+  edge; a highlight of that colour fades into the object.
   """
   numbers = np.arange(1, count + 1)
   inside = mask & (label > 0)
@@ -172,7 +172,7 @@ def _without_gaps(mask, label, count, difference, tolerance):
 
 
 def _may_be_shadow(image, mask, ground, noise):
-  """Whether a good part of the mask's lower half is a darker shade of the ground."""
+  """Whether much of the mask's lower half is a darker shade of the background."""
   rows, _ = bounding_box(mask)
   low = mask.copy()
   low[: (rows.start + rows.stop) // 2] = False
@@ -183,7 +183,7 @@ def _may_be_shadow(image, mask, ground, noise):
 
 
 def _inside_of_frame(image):
-  """(rows, columns) inside of bars at two opposite sides or of a thin frame; None without."""
+  """(rows, columns) inside bars at two opposite sides or inside a thin frame; None without them."""
   height, width = image.shape[:2]
   for side in (image[:, 0], image[0]):
     color = np.median(side, axis=0)

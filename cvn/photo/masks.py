@@ -1,14 +1,12 @@
-"""Where the object is in a picture.
+"""The foreground mask of an image. The first of these that applies:
 
-In this order:
-
-  1. the mask that the user gives;
-  2. the picture's alpha channel, if that cuts an object out: rounded corners of a window or a few
-     transparent pixels do not;
-  3. a plain or smoothly shaded ground (cvn/photo/ground.py);
-  4. the network of `rembg`, where that package is installed;
-  5. GrabCut from the central box, where OpenCV is installed;
-  6. otherwise there is no answer, and the error says what to give instead.
+1. the user's mask;
+2. the alpha channel, if it cuts out an object; rounded corners of a window or a few transparent
+   pixels do not count;
+3. a plain or smoothly shaded background (cvn/photo/ground.py);
+4. the network of `rembg`, if that package is installed;
+5. GrabCut from the central box, if OpenCV is installed;
+6. an error that says what to do.
 """
 
 from typing import NamedTuple
@@ -30,7 +28,7 @@ _WORKING_PIXELS = 512 * 512  # larger pictures are searched at this size
 
 
 class Mask(NamedTuple):
-  """An object in a picture of H x W pixels."""
+  """An object in an image of H x W pixels."""
 
   alpha: np.ndarray  # [H, W] u8: 0 outside of the object, soft at the edge of a cut-out
   source: str  # 'mask', 'alpha', 'ground', 'rembg' or 'grabcut'
@@ -42,12 +40,12 @@ def find_mask(rgba: np.ndarray, path: str, *, given: np.ndarray | None = None) -
 
   Args:
     rgba: [H, W, 4] u8.
-    path: of the picture, for messages.
-    given: [H, W] bool, the user's own mask.
+    path: path of the image, for messages.
+    given: [H, W] bool, the user's mask.
 
   Raises:
-    UserError: the picture is transparent everywhere or all one colour, or nothing tells the object
-      from a busy background.
+    UserError: the image is transparent or a single colour, or the object cannot be separated from a
+      busy background.
   """
   if given is not None:
     soft = rgba[..., 3] if (rgba[..., 3] < OPAQUE).any() else np.uint8(255)
@@ -94,7 +92,7 @@ def _from_alpha(rgba, path):
 
 
 def _search(rgb, path, *, only_ground=False):
-  """The object of an opaque picture; None without one where only the ground may tell."""
+  """The object of an opaque image; None if there is none and only the background may decide."""
   small = _resize(rgb)
   found = ground.find_object(small)
   if found is not None and not found.mask.any():
@@ -128,7 +126,7 @@ def _search(rgb, path, *, only_ground=False):
 
 
 def _closer(rgb, found):
-  """The same from the object's surroundings alone, if these can be searched at a finer scale."""
+  """Searches the object's surroundings again, if they can be searched at a finer scale."""
   height, width = rgb.shape[:2]
   scale = np.array([height, width]) / found.mask.shape
   rows, columns = regions.bounding_box(found.mask)
@@ -149,7 +147,7 @@ def _closer(rgb, found):
 
 
 def _resize(rgb):
-  """Large pictures smaller, for speed; tiny ones larger, with their pixels as squares."""
+  """Shrinks large images for speed, and enlarges tiny ones with square pixels."""
   height, width = rgb.shape[:2]
   times = -(-_LEAST_SIDE // min(height, width))
   if times > 1 and height * width * times**2 <= _WORKING_PIXELS:

@@ -15,14 +15,14 @@ _OVERLAP = 0.55  # of the colours of object and background: above it nothing tel
 
 
 class UnavailableError(Exception):
-  """The package or its network is not there; the message says which."""
+  """The package or its network is missing; the message says which."""
 
 
 def by_rembg(rgb: np.ndarray) -> np.ndarray | None:
-  """The mask of the `rembg` network, which loads its weights by itself the first time.
+  """The mask of the `rembg` network, which downloads its weights the first time.
 
   Raises:
-    UnavailableError: the package is not installed or its weights cannot be had.
+    UnavailableError: the package is not installed, or its weights cannot be downloaded.
   """
   try:
     session = _session()
@@ -45,7 +45,7 @@ def _session():
 
 
 def by_grabcut(rgb: np.ndarray) -> np.ndarray | None:
-  """OpenCV's GrabCut from the central box; None where its result separates no colours.
+  """OpenCV's GrabCut from the central box; None if its result does not separate colours.
 
   Rother et al., GrabCut: interactive foreground extraction using iterated graph cuts, 2004.
 
@@ -78,7 +78,7 @@ def _plausible(mask):
 
 
 def _overlap(rgb, mask):
-  """How alike the colours inside and outside are: Bhattacharyya's coefficient, 0 to 1."""
+  """Similarity of the colours inside and outside: Bhattacharyya's coefficient, 0 to 1."""
   bins = (rgb // 32).astype(int) @ np.array([64, 8, 1])
   inside, outside = (np.bincount(bins[m], minlength=512) / max(1, m.sum()) for m in (mask, ~mask))
   return float(np.sqrt(inside * outside).sum())

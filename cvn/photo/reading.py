@@ -1,8 +1,8 @@
-"""A picture's file -> upright 8-bit sRGB pixels with straight alpha.
+"""Image files -> upright 8-bit sRGB pixels with straight alpha.
 
-An embedded colour profile (Display P3, Adobe RGB, a press's CMYK, ...) is applied; colours without
-one are sRGB. The first frame of an animation counts. Values of 10 or 12 bits in a 16-bit file are
-recognised by their largest value.
+An embedded colour profile (Display P3, Adobe RGB, CMYK, ...) is applied; without one, colours are
+sRGB. Of an animation, the first frame is read. Values of 10 or 12 bits in a 16-bit file are
+recognised by their maximum.
 """
 
 import io
@@ -50,22 +50,22 @@ _HIGHLIGHT = 16  # floats above 1 and up to here are brighter than white; larger
 
 
 class Picture(NamedTuple):
-  """A decoded picture."""
+  """A decoded image."""
 
   rgba: np.ndarray  # [H, W, 4] u8, sRGB and straight alpha
   warnings: tuple[str, ...]  # what was guessed on the way, as ends of sentences
 
 
 def read_picture(path: str) -> Picture:
-  """Reads a picture's file.
+  """Reads an image file.
 
   Args:
-    path: a file of one of FORMATS, with any suffix; any colour mode, 8 to 16 bits or float. EXIF
+    path: a file in one of FORMATS, with any suffix; any colour mode, 8 to 16 bits or float. EXIF
       orientation is applied.
 
   Raises:
-    UserError: there is no such file, it is no picture, it is damaged or too large, or its format
-      cannot be read.
+    UserError: the file does not exist, is not an image, is damaged or too large, or has an
+      unsupported format.
   """
   notes = []
   try:
@@ -91,11 +91,11 @@ def read_picture(path: str) -> Picture:
 
 
 def read_mask(path: str, size: tuple[int, int]) -> np.ndarray:
-  """Reads a mask: an image of the picture's size, white (or opaque) where the object is.
+  """Reads a mask: an image of the photo's size, white (or opaque) on the object.
 
   Args:
-    path: of the mask.
-    size: (height, width) of the upright picture.
+    path: path of the mask.
+    size: (height, width) of the upright photo.
 
   Returns:
     bool [height, width].
@@ -129,7 +129,7 @@ def _open(path):
 
 
 def _open_deep_tiff(path, notes):
-  """A TIFF that Pillow does not read, or reads wrongly; None if it is none."""
+  """A TIFF that Pillow does not read, or reads wrongly; None for other files."""
   with open(path, 'rb') as f:
     if f.read(4) not in _TIFF:
       return None
@@ -162,7 +162,7 @@ def _open_deep_tiff(path, notes):
 
 
 def _to_8_bits(image, notes):
-  """Grey of 16 or 32 bits or floats -> 8 bits; other modes have 8 already."""
+  """Grey of 16 or 32 bits or floats -> 8 bits; other modes already have 8."""
   if not (image.mode.startswith('I') or image.mode == 'F'):
     return image
   grey = Image.fromarray(_scale(np.asarray(image), notes))
@@ -191,7 +191,7 @@ def _scale(values, notes):
 
 
 def _to_srgb(image, notes):
-  """RGBA in sRGB, by the embedded profile if there is one that fits."""
+  """RGBA in sRGB, by the embedded profile if there is a usable one."""
   profile = image.info.get('icc_profile')
   if image.mode == 'LAB':
     lab, srgb = (ImageCms.createProfile(name) for name in ('LAB', 'sRGB'))
@@ -227,7 +227,7 @@ def _apply_profile(image, profile, notes):
 
 
 def _explain(path):
-  """Why Pillow does not know the file, and what to do."""
+  """The reason why Pillow does not recognise the file, and what to do."""
   with open(path, 'rb') as f:
     start = f.read(1024)
   if not start:

@@ -1,4 +1,4 @@
-"""Forms of masks, [H, W] bool: bounding boxes, parts, and what a form makes doubtful."""
+"""Shapes of masks, [H, W] bool: bounding boxes, parts, and doubts that a shape raises."""
 
 import numpy as np
 from scipy import ndimage
@@ -9,7 +9,7 @@ _ALIKE = 0.25  # parts of at least this fraction of the largest one may be objec
 
 
 def bounding_box(mask: np.ndarray) -> tuple[slice, slice]:
-  """(rows, columns) of a mask that is not empty."""
+  """(rows, columns) of a nonempty mask."""
   rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
   return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
@@ -22,14 +22,14 @@ def without_specks(mask: np.ndarray) -> np.ndarray:
 
 
 def without_open(ground: np.ndarray) -> np.ndarray:
-  """The mask of all but the part of a ground that is connected to the picture's border."""
+  """Everything but the part of a background that is connected to the image's border."""
   label, _ = ndimage.label(ground)
   edge = border(label)
   return ~np.isin(label, np.unique(edge[edge > 0]))
 
 
 def doubts(mask: np.ndarray) -> list[str]:
-  """What a mask's form alone makes doubtful, as ends of sentences.
+  """Doubts raised by a mask's shape alone, as ends of sentences.
 
   Args:
     mask: [H, W], not empty.

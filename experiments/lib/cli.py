@@ -42,6 +42,8 @@ def program(
       def run(_):
         if start is not None:
           start(flags.FLAGS)
+        if computes:
+          environment.check_platforms()
         return body(flags.FLAGS)
 
       return errors.run(run)

@@ -1,8 +1,8 @@
-"""People from MakeHuman's body data: one file a step, from the files to the dressed mesh.
+"""People from MakeHuman's body data: a file for each step from the data to the dressed mesh.
 
 `data` reads the files, `body` mixes a body, `charts` measures it, `rig` finds its joints and bends
-it, `poses` says how, of `families`, with room between limbs (`clearance`). `outfits` and `hair`
-choose what is worn, `garments` shapes it, `cloth` lays `patterns` on it, `face` paints the face,
-`layers` cuts the surfaces out, and `person` puts all together.
-Lengths are decimetres in all of them, x to the person's left, y up, and people face +z.
+it, `poses` draws a pose from `families`, with `clearance` between limbs. `outfits` and `hair`
+choose clothes, `garments` shapes them, `cloth` applies `patterns`, `face` paints the face, `layers`
+cuts out the surfaces, and `person` combines everything. Lengths are decimetres, x is the person's
+left, y is up, and people face +z.
 """

@@ -1,7 +1,7 @@
 """Bodies: the base mesh moved by a mixture of MakeHuman's targets.
 
-A target's name joins the ends of several scales ('female-young-maxmuscle-averageweight'), and its
-share is the product of how close the body is to each of these ends, as in MakeHuman.
+A target's name combines the ends of several scales ('female-young-maxmuscle-averageweight'). Its
+weight is the product of the body's closeness to each of these ends, as in MakeHuman.
 """
 
 import itertools
@@ -30,7 +30,7 @@ SHAPES = ('oval', 'round', 'square', 'rectangular', 'triangular', 'invertedtrian
 
 
 class Body(NamedTuple):
-  """What a body is mixed from; the scales run from 0 to 1."""
+  """The parameters of a body; the scales run from 0 to 1."""
 
   gender: str  # 'female' or 'male'
   age: float  # 0.1875 a child of 12, 0.5 a grown-up of 25, 1 of 90
@@ -43,7 +43,7 @@ class Body(NamedTuple):
 
 
 def sample(rng: np.random.Generator) -> Body:
-  """Children to old people, thin to stout; ethnicities in any mixture of two."""
+  """A random body: children to old people, thin to stout, ethnicities in any mixture of two."""
   gender = ('female', 'male')[rng.integers(2)]
   age = rng.choice([rng.uniform(0.19, 0.38), rng.uniform(0.42, 0.65), rng.uniform(0.65, 1.0)],
                    p=[0.2, 0.55, 0.25])  # fmt: skip
@@ -67,10 +67,10 @@ def sample(rng: np.random.Generator) -> Body:
 
 
 def mix(data: BodyData, body: Body) -> np.ndarray:
-  """The body's vertices [V, 3], helper surfaces and joints' cubes included.
+  """The body's vertices [V, 3], including helper surfaces and the joints' cubes.
 
   Raises:
-    UserError: a target is broken.
+    UserError: a target is damaged.
   """
   vertices = data.vertices.copy()
   for name, share in targets(body).items():
@@ -82,7 +82,7 @@ def mix(data: BodyData, body: Body) -> np.ndarray:
 
 
 def targets(body: Body) -> dict[str, float]:
-  """The names of the targets and their shares."""
+  """The names of the targets and their weights."""
   age = _between(body.age, AGES)
   muscle = _between(body.muscle, {'minmuscle': 0, 'averagemuscle': 0.5, 'maxmuscle': 1})
   weight = _between(body.weight, {'minweight': 0, 'averageweight': 0.5, 'maxweight': 1})
@@ -104,7 +104,7 @@ def targets(body: Body) -> dict[str, float]:
 
 
 def _between(value, ends):
-  """Shares of the two ends that a value lies between."""
+  """Weights of the two ends that a value lies between."""
   names, places = list(ends), list(ends.values())
   k = min(max(int(np.searchsorted(places, value, side='right')) - 1, 0), len(places) - 2)
   t = float(np.clip((value - places[k]) / (places[k + 1] - places[k]), 0, 1))

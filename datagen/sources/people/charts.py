@@ -1,6 +1,6 @@
-"""Where on the person each vertex is: coordinates along and around trunk, arms and legs, at rest.
+"""Coordinates of each vertex on the person: along and around trunk, arms and legs, at rest.
 
-They say where clothes end and how cloth is laid. Every part has coordinates of its own for all
+They define where clothes end and how cloth is laid. Every part has its own coordinates for all
 vertices, so that two panels of cloth that meet at a seam share no coordinates there.
 """
 
@@ -84,7 +84,7 @@ def chart(data: BodyData, vertices: np.ndarray, at: Mapping[str, np.ndarray]) ->
 
 
 def _along_arm(vertices, at, s, is_forearm):
-  """[V] each: place along one arm, share of a turn about it, and length from the shoulder in dm."""
+  """[V] each: position along an arm, share of a turn about it, distance from the shoulder in dm."""
   shoulder, elbow, hand = (at[f'{b}_{s}'] for b in ('upperarm', 'lowerarm', 'hand'))
   upper, upper_around = _about(vertices, shoulder, elbow)
   lower, lower_around = _about(vertices, elbow, hand)
@@ -95,7 +95,7 @@ def _along_arm(vertices, at, s, is_forearm):
 
 
 def _about(vertices, start, end):
-  """Along a bone as a share of it, and the share of a turn about it, 0 where it looks to +z."""
+  """Position along a bone as a share of it, and the share of a turn about it, 0 facing +z."""
   length = np.linalg.norm(end - start)
   axis = (end - start) / length
   front = np.array([0.0, 0.0, 1.0]) - axis[2] * axis

@@ -1,4 +1,4 @@
-"""Room between the limbs of a skeleton, as capsules, so that poses in which they meet are found."""
+"""Clearance between the limbs of a skeleton, as capsules, to find poses in which they intersect."""
 
 import itertools
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ def clearance(
   *,
   girth: float,
 ) -> float:
-  """The least distance of limbs, as capsules, from each other, trunk and head, dm; < 0 inside.
+  """The minimum distance between limbs, trunk and head as capsules, dm; negative if they intersect.
 
   Args:
     data: the rig.

@@ -1,7 +1,7 @@
-"""Cloth: a garment's surface cut into panels, as tailors do, each with its pattern laid on.
+"""Cloth: a garment's surface cut into panels, as tailors do, each with its pattern.
 
-Sleeves meet the trunk at the armhole, the legs of trousers meet each other in the middle; a pattern
-is whole within each panel and breaks only at these seams.
+Sleeves meet the trunk at the armhole and trouser legs meet in the middle; a pattern is continuous
+within each panel and breaks only at these seams.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ TURNS = 2.1  # about the trunk that are as long as one height of the person
 
 
 class Garment(NamedTuple):
-  """One piece that is worn."""
+  """A piece of clothing."""
 
   faces: np.ndarray  # [F, 4] quads of one group of the body's data
   field: np.ndarray  # [V]; positive, in dm, where the garment is
@@ -30,11 +30,11 @@ class Garment(NamedTuple):
 
 
 def lay(chart: Chart, garment: Garment, *, waist: float) -> list[Layer]:
-  """A garment's layers: one a panel, or one in all where it is of one colour.
+  """A garment's layers: one for each panel, or a single one if it has one colour.
 
   Args:
-    chart: the person's.
-    garment: what is laid.
+    chart: the person's chart.
+    garment: the garment.
     waist: y where the legs of an overall begin.
   """
   cloth = garment.cloth
@@ -70,7 +70,7 @@ def lay(chart: Chart, garment: Garment, *, waist: float) -> list[Layer]:
 
 
 def _panels(chart, cut, waist):
-  """Part of the chart -> the fields [V] that are positive in its panel."""
+  """The fields [V] that are positive in each panel, by the part of the chart."""
   x, y, _ = chart.vertices.T
   arm = chart.arm_weight - 0.5
   sleeves = {'arm_l': (arm, x), 'arm_r': (arm, -x)}

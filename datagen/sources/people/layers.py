@@ -1,9 +1,9 @@
-"""Surfaces of a dressed person: parts of the helpers' and body's faces, cut, lifted and painted.
+"""Surfaces of a dressed person: faces of the helpers and the body, cut, lifted and painted.
 
-A layer is where a field over the vertices is not negative. Triangles that its zero runs through are
-cut there, so hems and hairlines are smooth lines and not the mesh's teeth; a rim leads from there
-down to the surface that the layer was lifted from, so that hems are closed. Where seams are zero it
-is cut too, without a rim: there the next panel of the same cloth goes on.
+A layer is where a field over the vertices is not negative. Triangles are cut along the field's
+zero, so that hems and hairlines are smooth; a rim closes the gap between such a hem and the surface
+that the layer was lifted from. Triangles are also cut where seams are zero, without a rim, because
+the next panel of the same cloth continues there.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ NO_AREA = 1e-12  # dm^2: faces with less are left out
 
 
 class Paint(NamedTuple):
-  """A colour, or a picture that is laid on by coordinates."""
+  """A colour, or an image with texture coordinates."""
 
   color: np.ndarray  # [3] sRGB in [0, 1]; not used where there is a picture
   picture: np.ndarray | None = None  # [H, W, 4] uint8
@@ -38,7 +38,7 @@ class Layer(NamedTuple):
 
 
 class Prop(NamedTuple):
-  """A solid thing that goes with one bone."""
+  """A solid object attached to one bone."""
 
   vertices: np.ndarray  # [N, 3] at rest
   faces: np.ndarray  # [F, 3]
@@ -47,7 +47,7 @@ class Prop(NamedTuple):
 
 
 class Cut(NamedTuple):
-  """What is left of triangles over V vertices, and where the new vertices V + k lie."""
+  """The rest of cut triangles over V vertices, and the positions of the new vertices V + k."""
 
   faces: np.ndarray  # [G, 3]
   edges: np.ndarray  # [E, 2] the new vertex k lies on edges[k],
@@ -56,12 +56,12 @@ class Cut(NamedTuple):
 
 
 def triangles(quads: np.ndarray) -> np.ndarray:
-  """Quads [F, 4] as triangles [2 F, 3]."""
+  """Quads [F, 4] -> triangles [2 F, 3]."""
   return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
 
 
 def normals(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
-  """Unit normals [V, 3] at the vertices of quads, means by area; 0 at others."""
+  """Unit normals [V, 3] at the vertices of quads, weighted by area; 0 at other vertices."""
   a, b, c, d = (vertices[quads[:, k]] for k in range(4))
   face = np.cross(c - a, d - b)
   total = np.zeros_like(vertices)
@@ -72,7 +72,7 @@ def normals(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
 
 
 def clip(faces: np.ndarray, field: np.ndarray) -> Cut:
-  """Cuts triangles [F, 3] where a field [V], linear in them, is 0; keeps what is not negative."""
+  """Cuts triangles [F, 3] where a field [V], linear in them, is 0; keeps the nonnegative part."""
   inside = field[faces] >= 0
   count = inside.sum(1)
   kept, edges, rim, start = [faces[count == 3]], [], [], len(field)
@@ -108,10 +108,10 @@ def assemble(
   Args:
     data: weights and bones.
     layers: surfaces; at least one of them has faces that are not cut away.
-    props: solid things.
+    props: solid objects.
     vertices: [V, 3] the body at rest.
     outward: [V, 3] normals at rest.
-    transforms: [B, 4, 4] where bones go.
+    transforms: [B, 4, 4] transforms of the bones.
   """
   posed = skin(vertices, data.weights, transforms)
   parts, textures = [], []
@@ -139,7 +139,7 @@ def assemble(
 
 
 def _cut_out(layer, lifted, posed):
-  """The layer's (points [N, 3], uv [N, 2], faces [G, 3]), posed; points that no face has, too."""
+  """The layer's posed (points [N, 3], uv [N, 2], faces [G, 3]), including unused points."""
   uv = np.zeros((len(posed), 2)) if layer.paint.uv is None else layer.paint.uv
   values = np.column_stack([lifted, posed, uv, layer.field, *layer.seams])
   faces = triangles(layer.faces)
@@ -157,7 +157,7 @@ def _cut_out(layer, lifted, posed):
 
 
 def _with_new(values, cut, wraps):
-  """Appends the new vertices' values [V, C]; columns 6 and 7 are u and v."""
+  """Appends the values [V, C] of new vertices; columns 6 and 7 are u and v."""
   first, second = values[cut.edges[:, 0]], values[cut.edges[:, 1]]
   if wraps:
     second[:, 6] -= np.round(second[:, 6] - first[:, 6])
@@ -165,7 +165,7 @@ def _with_new(values, cut, wraps):
 
 
 def _part(points, faces, paint, uv, textures):
-  """One part's (vertices, faces, corner colours, uv, texture), without faces of no area."""
+  """A part's (vertices, faces, corner colours, uv, texture), without faces of zero area."""
   a, b, c = (points[faces[:, k]] for k in range(3))
   faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > NO_AREA]
   slot, corner_uv = -1, np.zeros((len(faces), 3, 2), np.float32)

@@ -1,4 +1,4 @@
-"""Outfits: which garments are worn, how long and how wide they are, and what cloth they are of."""
+"""Outfits: which garments are worn, their lengths and widths, and their cloth."""
 
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ SHORTEST_SLEEVE = 0.2  # shorter ones are none
 
 
 class Outfit(NamedTuple):
-  """What is worn; lengths of sleeves, legs, skirt and socks as in charts."""
+  """An outfit; lengths of sleeves, legs, skirt and socks as in charts."""
 
   top: str
   bottom: str
@@ -58,12 +58,12 @@ class Outfit(NamedTuple):
 
 
 def wants_skirt(outfit: Outfit) -> bool:
-  """Whether it needs a pose in which a skirt hangs."""
+  """Whether it needs an upright pose, in which a skirt hangs."""
   return outfit.top == 'dress' or outfit.bottom == 'skirt'
 
 
 def sample(rng: np.random.Generator, *, woman: bool, skin: np.ndarray) -> Outfit:
-  """Chance's outfit for a skin, whose colour cloth keeps away from."""
+  """A random outfit for a skin; cloth avoids the skin's colour."""
   top = _pick(rng, TOPS if woman else {k: v for k, v in TOPS.items() if k != 'dress'})
   bottom = _pick(rng, BOTTOMS if woman else {k: v for k, v in BOTTOMS.items() if k != 'skirt'})
   bottom = 'trousers' if top == 'overall' else bottom
@@ -99,6 +99,6 @@ def sample(rng: np.random.Generator, *, woman: bool, skin: np.ndarray) -> Outfit
 
 
 def _pick(rng, shares):
-  """A key, by its share."""
+  """A random key, weighted by its share."""
   share = np.array(list(shares.values()))
   return list(shares)[rng.choice(len(share), p=share / share.sum())]

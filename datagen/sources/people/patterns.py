@@ -1,7 +1,7 @@
-"""Colours and pictures of cloth: stripes, checks, dots, prints and the like.
+"""Colours and images of cloth: stripes, checks, dots, prints and the like.
 
-A picture covers one turn about the trunk or a limb (u, front in its middle) and the person's height
-(v, from the floor up). Nothing in it is finer than about two of 64 voxels of the height.
+An image covers one turn about the trunk or a limb (u, the front in its middle) and the person's
+height (v, from the floor up). Its finest details are about two of 64 voxels of the height.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ BARS = {
 
 
 class Pattern(NamedTuple):
-  """What a cloth looks like."""
+  """The look of a cloth."""
 
   kind: str  # a key of KINDS
   colors: np.ndarray  # [3, 3] sRGB in [0, 1]
@@ -64,14 +64,14 @@ class Pattern(NamedTuple):
 
 
 def color(rng: np.random.Generator) -> np.ndarray:
-  """A cloth's colour [3]: mostly strong, at times black, white, grey or denim."""
+  """A random colour [3] of a cloth: mostly strong, sometimes black, white, grey or denim."""
   if rng.random() < 0.22:
     return NEUTRAL[rng.integers(len(NEUTRAL))]
   return matplotlib.colors.hsv_to_rgb([rng.random(), rng.uniform(0.6, 1), rng.uniform(0.45, 0.98)])
 
 
 def unlike(rng: np.random.Generator, *others: np.ndarray, distance: float = 0.45) -> np.ndarray:
-  """A colour [3] that is far from others: the farthest of some where none is far enough."""
+  """A colour [3] far from others; if none of some candidates is far enough, the farthest."""
   drawn = [color(rng) for _ in range(12)]
   apart = [min((np.linalg.norm(c - o) for o in others), default=1.0) for c in drawn]
   far = [c for c, d in zip(drawn, apart, strict=True) if d > distance]
@@ -79,7 +79,7 @@ def unlike(rng: np.random.Generator, *others: np.ndarray, distance: float = 0.45
 
 
 def sample(rng: np.random.Generator, main: np.ndarray, *, kind: str | None = None) -> Pattern:
-  """A pattern with a main colour; `kind` where that is decided."""
+  """A random pattern with a main colour, of a `kind` if given."""
   if kind is None:
     share = np.array(list(KINDS.values()))
     kind = list(KINDS)[rng.choice(len(KINDS), p=share / share.sum())]
@@ -90,9 +90,9 @@ def sample(rng: np.random.Generator, main: np.ndarray, *, kind: str | None = Non
 
 
 def draw(pattern: Pattern, *, part: str) -> np.ndarray:
-  """The picture [SIZE, SIZE, 4] uint8 of a cloth, for 'trunk', 'arm' or 'leg'.
+  """The image [SIZE, SIZE, 4] uint8 of a cloth, for 'trunk', 'arm' or 'leg'.
 
-  Limbs are thinner: what repeats around does so less often.
+  Limbs are thinner, so patterns repeat less often around them.
   """
   center = (np.arange(SIZE) + 0.5) / SIZE
   u, v = np.meshgrid(center, 1 - center)
@@ -107,7 +107,7 @@ def draw(pattern: Pattern, *, part: str) -> np.ndarray:
 
 
 def _color_index(pattern, part, u, v, t):
-  """Which of the pattern's colours is at (u, v); t runs from the garment's hem to its top."""
+  """The index of the pattern's colour at (u, v); t runs from the garment's hem to its top."""
   turns = max(1, round(pattern.turns * {'trunk': 1.0, 'arm': 0.4, 'leg': 0.6}[part]))
   row = v / pattern.period + pattern.phase
   column = u * turns + 0.25  # something is in the middle of the chest, and no edge
@@ -140,7 +140,7 @@ def _color_index(pattern, part, u, v, t):
 
 
 def _patches(pattern, u, v, turns):
-  """Patches of three colours, seamless around: the sign of two sums of waves."""
+  """Patches of three colours, seamless around: the signs of two sums of waves."""
   rng = np.random.default_rng(pattern.seed)
   waves = np.zeros((2, *u.shape))
   for wave in waves:
@@ -159,15 +159,15 @@ def add_print(
   size: float,
   wide: float,
 ) -> None:
-  """Puts a print on the chest of a trunk's picture.
+  """Adds a print to the chest of a trunk's image.
 
   Args:
-    rng: chance.
+    rng: random generator.
     image: [SIZE, SIZE, 4], changed in place.
     ink: [3] its colour.
     at: v of its middle.
-    size: its height in heights of the person.
-    wide: turns that are as long as one height of the person.
+    size: its height, in heights of the person.
+    wide: number of turns that are as long as the person's height.
   """
   kind = PRINTS[rng.integers(len(PRINTS))]
   canvas = PIL.Image.fromarray(image)

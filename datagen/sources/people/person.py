@@ -1,4 +1,4 @@
-"""One person from one seed: body, outfit and pose drawn by chance, dressed, bent and coloured."""
+"""One person from one seed: a random body, outfit and pose, dressed, bent and coloured."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ HOLLOW = ((0.0, 6.65, 0.95), 0.62)
 
 
 class Person(NamedTuple):
-  """What is drawn by chance before any vertex is moved."""
+  """The random choices, made before any vertex is moved."""
 
   body: bodies.Body
   skin: np.ndarray  # [3] sRGB
@@ -58,7 +58,7 @@ def build(data: BodyData, person: Person) -> TexturedMesh:
   """The person's mesh.
 
   Raises:
-    UserError: a file of the body's data is broken.
+    UserError: a file of the body's data is damaged.
   """
   vertices = bodies.mix(data, person.body)
   at = rig.joints(data, vertices)
@@ -83,7 +83,7 @@ def _girth(data, chart):
 
 
 def _skin(data, chart, person, bare):
-  """Bare skin, the face's picture on the head's front, and the eyes."""
+  """Bare skin, the image of the face on the head's front, and the eyes."""
   quads = data.groups['body']
   a, b, c, d = np.moveaxis(data.vertices[quads], 1, 0)
   offset = 0.25 * (a + b + c + d) - HOLLOW[0]

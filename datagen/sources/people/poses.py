@@ -1,8 +1,8 @@
-"""Poses: which way every limb points, drawn from the families of `families`.
+"""Poses: the directions of all limbs, drawn from the families of `families`.
 
-Limbs are swung the shortest way from where they rest, which twists no joint, so skinning does not
-wring them. The skeleton is checked: limbs that run into each other, the trunk or the head are drawn
-again.
+A limb is rotated the shortest way from its rest direction, so no joint twists and skinning causes
+no candy-wrapper artefacts. Poses in which limbs intersect each other, the trunk or the head are
+drawn again.
 """
 
 from collections.abc import Mapping
@@ -19,14 +19,14 @@ TRIES = 24
 
 
 class Pose(NamedTuple):
-  """How one body is bent."""
+  """The rotations of one body."""
 
   family: str
   turns: Mapping[str, np.ndarray]  # bone -> [3, 3], for `rig.bone_transforms`
 
 
 def sample_family(rng: np.random.Generator, *, upright: bool) -> str:
-  """One of the families' names; of those that go with a skirt where `upright`."""
+  """The name of a random family; if `upright`, one that suits a skirt."""
   names = [n for n, f in FAMILIES.items() if f.upright or not upright]
   share = np.array([FAMILIES[n].share for n in names])
   return names[rng.choice(len(names), p=share / share.sum())]
@@ -40,10 +40,10 @@ def sample(
   *,
   girth: float,
 ) -> Pose:
-  """A pose of a family in which this skeleton does not run into itself, if one is found.
+  """A random pose of a family in which this skeleton does not intersect itself, if one is found.
 
   Args:
-    rng: what chance is drawn from.
+    rng: random generator.
     data: the rig.
     at: where each bone begins (`rig.joints`).
     family: a key of `FAMILIES`.
@@ -95,7 +95,7 @@ def _turns(rng, at, family):
 
 
 def _between(ranges, t):
-  """Values at shares t of ranges."""
+  """Interpolates ranges at shares t."""
   return [low + (high - low) * x for (low, high), x in zip(ranges, t, strict=True)]
 
 
@@ -112,7 +112,7 @@ def _swing_arm(turns, at, side, angles):
 
 
 def _swing_leg(turns, at, side, angles):
-  """Thigh and shin; the foot is pointed where the leg leaves the ground."""
+  """Thigh and shin; the foot is pointed if the leg leaves the ground."""
   s = 'l' if side > 0 else 'r'
   hip, knee, ankle = (at[f'{b}_{s}'] for b in ('thigh', 'calf', 'foot'))
   thigh = swing(knee - hip, direction(angles[0], angles[1], side))
@@ -123,7 +123,7 @@ def _swing_leg(turns, at, side, angles):
 
 
 def _curl(turns, at, side, degrees):
-  """Fingers bend about the line of the knuckles."""
+  """Bends the fingers about the line of the knuckles."""
   s = 'l' if side > 0 else 'r'
   knuckles = at[f'pinky_01_{s}'] - at[f'index_01_{s}']
   if degrees and np.linalg.norm(knuckles) > 0:

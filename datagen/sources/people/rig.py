@@ -1,8 +1,8 @@
-"""Joints of a body, and bending it: linear blend skinning.
+"""Joints of a body, and linear blend skinning.
 
-A bone turns all that hangs on it about the place where it begins. Turns are given in the frame of
-the body at rest, so that a turn means the same whatever its parents do: bone b takes the point p to
-M_b p, where M_b = M_parent [R_b about b's beginning].
+A bone rotates everything below it about its beginning. Rotations are given in the frame of the body
+at rest, so they mean the same whatever the parents do: bone b maps the point p to M_b p, with M_b =
+M_parent [R_b about b's beginning].
 """
 
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ def joints(data: BodyData, vertices: np.ndarray) -> dict[str, np.ndarray]:
 def bone_transforms(
   data: BodyData, at: Mapping[str, np.ndarray], turns: Mapping[str, np.ndarray]
 ) -> np.ndarray:
-  """Where bones take the body at rest.
+  """The transforms of the bones from the body at rest.
 
   Args:
     data: the rig.
     at: where each bone begins.
-    turns: bone -> [3, 3] rotation; bones that are not named do not turn.
+    turns: bone -> [3, 3] rotation; other bones do not rotate.
 
   Returns:
     [B, 4, 4] affine transforms.
@@ -57,7 +57,7 @@ def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> n
 
 
 def rotation(axis, degrees: float) -> np.ndarray:
-  """The right-handed turn [3, 3] about an axis [3] (Rodrigues)."""
+  """The right-handed rotation [3, 3] about an axis [3] (Rodrigues)."""
   x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
   k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
   a = np.deg2rad(degrees)
@@ -65,7 +65,7 @@ def rotation(axis, degrees: float) -> np.ndarray:
 
 
 def swing(source, target) -> np.ndarray:
-  """The shortest turn [3, 3] that takes one direction to another."""
+  """The shortest rotation [3, 3] from one direction to another."""
   a, b = (np.asarray(v, float) / np.linalg.norm(v) for v in (source, target))
   axis = np.cross(a, b)
   if np.linalg.norm(axis) < 1e-9:  # the same, or opposite: any axis across will do

@@ -1,11 +1,11 @@
-"""Cuts away the surface that lies inside other solids, where nobody sees it.
+"""Cuts away the surface inside other solids, which nobody sees.
 
-Objects are made of closed solids that run into each other. Left there, the hidden surface would
-occupy voxels inside the object, and lend its colour to voxels at the joints that show another one.
+Objects are made of closed solids that intersect. Hidden surface would occupy voxels inside the
+object, and tint voxels at the joints.
 
-A point just outside a face is hidden when solids contain it: when a ray from it leaves more solids
-than it enters. Faces are tested in pieces at a few points each, along a cut in pieces of a voxel's
-size. A piece of which something shows stays whole: cuts leave no gap.
+A point just outside a face is hidden if solids contain it: if a ray from it leaves more solids than
+it enters. Faces are tested at a few points each, those along a cut in pieces of a voxel's size. A
+piece that is partly visible stays whole, so cuts leave no gap.
 """
 
 from typing import NamedTuple
@@ -31,11 +31,11 @@ class Pieces(NamedTuple):
 
 
 def exposed(corners: np.ndarray, solid: np.ndarray) -> Pieces:
-  """What is to be seen of closed solids.
+  """The visible part of closed solids.
 
   Args:
-    corners: [F, 3, 3] of the faces of all the solids; they look outwards.
-    solid: [F] the solid each face belongs to, from 0.
+    corners: [F, 3, 3] of the faces of all solids; they look outwards.
+    solid: [F] the solid of each face, from 0.
 
   Returns:
     The pieces, whole faces where nothing had to be cut, in the order of the faces.
@@ -60,7 +60,7 @@ def exposed(corners: np.ndarray, solid: np.ndarray) -> Pieces:
 
 
 def windings(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-  """How many of the closed solids that faces [F, 3, 3] make contain each of the points [N, 3]."""
+  """How many closed solids, formed by faces [F, 3, 3], contain each of the points [N, 3]."""
   shear = _RAY[:2]
   # Rays run along the shortest side, where they meet the fewest faces.
   turned = 2 - np.ptp(corners, axis=(0, 1)).argmin()

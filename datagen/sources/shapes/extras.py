@@ -1,4 +1,4 @@
-"""What stands out from a car: mirrors, taxi signs, light bars, racks, spoilers, spare wheels."""
+"""Parts that stand out from a car: mirrors, taxi signs, light bars, racks, spoilers, wheels."""
 
 import numpy as np
 

@@ -1,7 +1,7 @@
-"""What a guitar wears: pictures of its front and fingerboard, drawn in metres.
+"""The look of a guitar: images of its front and fingerboard, drawn in metres.
 
-Sound holes, rosettes, scratch plates, pickups and bridges are painted on the front, not hung before
-it: a voxel that held both would have the colour of neither.
+Sound holes, rosettes, scratch plates, pickups and bridges are painted on the front, not modelled in
+front of it: a voxel that held both would have the colour of neither.
 """
 
 from typing import NamedTuple

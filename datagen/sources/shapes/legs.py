@@ -1,4 +1,4 @@
-"""What carries a seat or a table top: legs, stretchers, sleds, rockers, columns, star bases."""
+"""Supports of a seat or a table top: legs, stretchers, sleds, rockers, columns, star bases."""
 
 import numpy as np
 

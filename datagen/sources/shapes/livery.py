@@ -1,7 +1,7 @@
-"""What a car wears: pictures of its sides, top, ends, windows and wheels, drawn in metres.
+"""The look of a car: images of its sides, top, ends, windows and wheels, drawn in metres.
 
-Lamps, plates, windows, arches and doors are painted on the body, not hung before it: a voxel that
-held both would have the colour of neither.
+Lamps, plates, windows, arches and doors are painted on the body, not modelled in front of it: a
+voxel that held both would have the colour of neither.
 """
 
 from typing import NamedTuple

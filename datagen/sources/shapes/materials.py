@@ -1,7 +1,7 @@
-"""Colours and small tiling pictures for the surfaces of procedural objects.
+"""Colours and small tiling images for the surfaces of procedural objects.
 
-Colours are sRGB in [0, 1]. They stay in the middle of the range, so that an object is told from
-the pale ground of its views and keeps the contrast of its pattern.
+Colours are sRGB in [0, 1], in the middle of the range, so that an object stands out from the pale
+background of its views and its pattern keeps its contrast.
 """
 
 import colorsys
@@ -18,7 +18,7 @@ _DIGITS = ('75557', '26227', '71747', '71717', '55711', '74717', '74757', '71111
 
 
 class Material(NamedTuple):
-  """A colour, or a picture laid on the surface."""
+  """A colour, or an image on the surface."""
 
   color: np.ndarray  # [3]; multiplies the picture
   picture: np.ndarray | None = None  # [H, W, 4] uint8
@@ -74,10 +74,10 @@ def plain(color) -> Material:
 
 
 def close(colors, distance: float) -> list[np.ndarray]:
-  """Colours pulled to the first one until none is farther from it than `distance`.
+  """Moves colours towards the first one until none is farther from it than `distance`.
 
-  A voxel at the border of two colours mixes them otherwise than a pixel does. Where borders are
-  many, colours must not be too far apart, or views would not show the voxels' colours.
+  At the border of two colours, voxels and pixels mix them differently. With many borders, colours
+  must not differ too much, or views would not show the voxels' colours.
   """
   first = np.asarray(colors[0], float)
   steps = [np.asarray(c, float) - first for c in colors]

@@ -23,16 +23,16 @@ class Part(NamedTuple):
 
 
 def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
-  """Lays a material on a solid, each face by the axis its normal is closest to.
+  """Applies a material to a solid, each face by the axis closest to its normal.
 
   Seen from outside, u runs right and v up (on horizontal faces, v runs away from a viewer in
   front), so nothing is mirrored. A material with a period repeats; one without is stretched over
   the solid's bounding box. Grain runs along the box's longest side.
 
   Args:
-    solid: where it lies now; later moves carry the picture along.
-    material: what to lay on.
-    axis: 0, 1 or 2 looks along that axis everywhere instead.
+    solid: in its present position; later moves carry the image along.
+    material: the material.
+    axis: 0, 1 or 2 projects along that axis everywhere.
   """
   corners = solid.vertices[solid.faces]
   middle, reach = _box(solid)
@@ -51,13 +51,13 @@ def paint(solid: Solid, material: Material, *, axis: int | None = None) -> Part:
 
 
 def texels(solid: Solid, axis: int, sign: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-  """Where the texels of a stretched picture come to lie on one side of a solid.
+  """Positions of a stretched image's texels on one side of a solid.
 
   Args:
-    solid: to be painted; the picture spans its whole box.
+    solid: the solid; the image spans its whole box.
     axis: 0, 1 or 2.
     sign: 1 or -1, the side that looks along the axis or against it.
-    size: of the picture, which is square.
+    size: side of the image, which is square.
 
   Returns:
     Coordinates [size, size] along z, x, x and along y, z, y for axis 0, 1, 2.
@@ -71,9 +71,9 @@ def texels(solid: Solid, axis: int, sign: int, size: int) -> tuple[np.ndarray, n
 
 
 def facing(solid: Solid, axes, sign: int = 0) -> Solid:
-  """Only the faces whose normals are closest to some axes, or to one sense of them.
+  """Only the faces whose normals are closest to some axes, or to one direction of them.
 
-  The extent of the whole stays known.
+  The extent of the whole is kept.
   """
   normal = _normals(solid)
   major = np.abs(normal).argmax(1)
@@ -131,10 +131,10 @@ def mirror(part: Part) -> Part:
 
 
 def assemble(parts) -> TexturedMesh:
-  """Joins parts to one mesh of what is to be seen of them; shared pictures are kept once.
+  """Joins the visible parts to one mesh; shared images are kept once.
 
-  Parts are closed solids, or the sides of one (`facing`), all of which are among the parts. What
-  lies inside other solids is cut away, and faces of no area go.
+  Parts are closed solids, or sides of one (`facing`) that are all among the parts. Surface inside
+  other solids and faces of zero area are removed.
   """
   parts = [without_slivers(part) for part in parts]
   corners = np.concatenate([p.vertices[p.faces] for p in parts])
@@ -165,6 +165,6 @@ def assemble(parts) -> TexturedMesh:
 
 
 def without_slivers(part: Part) -> Part:
-  """The part without its faces of no area."""
+  """The part without its faces of zero area."""
   keep = np.linalg.norm(_normals(part), axis=1) > 1e-12
   return part._replace(faces=part.faces[keep], uv=part.uv[keep])
