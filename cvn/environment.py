@@ -29,20 +29,17 @@ _SMALLEST_HEAP = 256 << 20  # bytes
 
 
 def prepare() -> None:
-  """Applies all settings to this process; call it before the first computation.
-
-  If JAX_PLATFORMS requests a device that does not exist, the process ends with one line.
-  """
+  """Applies all settings to this process; call it before the first computation."""
   keep_memory()
   if jax.config.jax_compilation_cache_dir is None:
     keep_programs(_cache() / 'jax')
 
 
 def check_platforms() -> None:
-  """Ends the process if the user requests a platform without a device.
+  """Checks that this machine has devices of the platforms in JAX_PLATFORMS.
 
   Raises:
-    SystemExit: with the line to print.
+    UserError: a platform has no device here.
   """
   asked = jax.config.jax_platforms
   if not asked:
