@@ -5,8 +5,7 @@
   networks      networks, layers, surface (heads at surface voxels), ops (the layers' operations)
   training      recipe, objectives, train, checkpoint, parallel (devices and processes)
   data          dataset (on disk), data (batches), augment
-  inference     infer (views to coloured voxels), readouts, photo (an image file to a view),
-                novelty (how far an image is from those of training)
+  inference     infer (views to coloured voxels), readouts, photo (an image file to a view)
   output        export (mesh files), figures (images)
   evaluation    baselines, intervals, complexity of colours
   processes     environment (memory and compilation cache)
@@ -38,7 +37,6 @@ __all__ = (
   'losses',
   'metrics',
   'networks',
-  'novelty',
   'objectives',
   'ops',
   'parallel',

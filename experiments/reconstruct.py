@@ -123,8 +123,7 @@ def reconstruct_all(
     start = time.perf_counter()
     try:
       picture = photo.load_photo(path, mask=masks[path], framed=framed)
-      unusual = photos.how_unusual(path, picture.view, shape)
-      for warning in (*picture.warnings, *unusual):
+      for warning in picture.warnings:
         tqdm.write(f'warning: {warning}', sys.stderr)
       count = reconstruct_view(picture.view, stems[path], shape, color, **options)
       photos.write_mask(f'{stems[path]}_mask.png', picture)

@@ -39,5 +39,19 @@ def test_the_process_ends_with_the_status(monkeypatch, capsys):
 
   monkeypatch.setattr(cli.errors, 'run', run)
   monkeypatch.setattr(cli.environment, 'prepare', lambda: seen.append('prepared'))
+  monkeypatch.setattr(cli.environment, 'check_platforms', lambda: seen.append('checked'))
   flags.FLAGS.mark_as_parsed()
-  assert main() == 2 and seen == ['prepared', 1]
+  assert main() == 2 and seen == ['prepared', 1, 'checked']
+
+
+def test_a_process_joins_others_before_anything_looks_at_the_devices(monkeypatch):
+  monkeypatch.setattr(flags, 'FLAGS', flags.FlagValues())
+  seen = []
+  start = cli.program(define_flags, start=lambda f: seen.append(f['count'].value))
+  joined = start(lambda f: seen.append('body') or 0)
+  monkeypatch.setattr(cli.errors, 'run', lambda guarded: guarded([]))
+  monkeypatch.setattr(cli.environment, 'prepare', lambda: seen.append('prepared'))
+  monkeypatch.setattr(cli.environment, 'check_platforms', lambda: seen.append('checked'))
+  flags.FLAGS.mark_as_parsed()
+  assert joined() == 0 and seen == ['prepared', 1, 'checked', 'body']
+  assert joined([]) == 0 and seen[4:] == ['body']

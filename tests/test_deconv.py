@@ -200,3 +200,15 @@ def test_accelerators_get_the_library_and_cpus_do_not(name, dtype, implementatio
     assert 'cvn_' not in lowered[platform]
   assert 'stablehlo.convolution' not in lowered['cpu']
   assert ('cvn_' in lowered['cpu']) == (implementation == 'auto' and native.available())
+
+
+@pytest.mark.parametrize(('shape', 'cout'), SHAPES)
+def test_the_gradient_of_accelerators_is_the_derivative(shape, cout):
+  """That of the adjoint, without an input or a kernel that is dilated and as large as a volume."""
+  rng = np.random.default_rng(0)
+  x, kernel = draw(rng, *shape), draw(rng, 3, 3, 3, shape[-1], cout)
+  y, pull = jax.vjp(deconv.library_deconv, x, kernel)
+  dy = draw(rng, *y.shape)
+  assert_close(deconv.library_deconv_gradient(x, kernel, dy), pull(dy))
+  text = jax.jit(deconv.library_deconv_gradient).lower(x, kernel, dy).as_text()
+  assert 'lhs_dilate = [2, 2, 2]' not in text

@@ -4,20 +4,16 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from PIL import Image
 
-from cvn import novelty
 from cvn.errors import UserError
 from cvn.files import atomic_write
-from cvn.infer import Network
 from cvn.photo import Photo
 
 SUFFIXES = (
   *('.png', '.jpg', '.jpeg', '.jpe', '.webp', '.avif', '.heic', '.heif', '.gif', '.bmp'),
   *('.tif', '.tiff', '.jp2', '.j2k', '.ppm', '.pgm', '.tga'),
 )
-UNUSUAL = 3.0  # times the training images' mean squared deviation; chosen by us
 
 
 def split_names(values: Sequence[str]) -> list[str]:
@@ -93,14 +89,3 @@ def known_categories(*configs: dict[str, Any]) -> list[str]:
   """The categories that all of some networks were trained on; empty where that is not stored."""
   found = [set(c.get('categories') or c.get('category') or ()) for c in configs]
   return sorted(set.intersection(*found)) if found else []
-
-
-def how_unusual(path: str, view: np.ndarray, network: Network) -> list[str]:
-  """A warning, if a view's features lie far from those of training; none otherwise."""
-  far = float(novelty.feature_deviation(network.variables, view[None])[0])
-  if far < UNUSUAL:
-    return []
-  return [
-    f'{path} is unlike the training images: its features lie {far:.1f} variances from their mean,'
-    ' where 1 is usual. The networks may not know such an object'
-  ]
