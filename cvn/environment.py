@@ -36,10 +36,10 @@ def prepare() -> None:
 
 
 def check_platforms() -> None:
-  """Checks that this machine has devices of the platforms in JAX_PLATFORMS.
+  """Checks that every platform in JAX_PLATFORMS has a device; initialises JAX's backends.
 
   Raises:
-    UserError: a platform has no device here.
+    UserError: a platform has no device on this machine.
   """
   asked = jax.config.jax_platforms
   if not asked:
@@ -49,7 +49,7 @@ def check_platforms() -> None:
   except Exception as e:  # RuntimeError or, for CUDA without a driver, an assertion of JAX's
     why = ' '.join(str(e).split()) or 'no such device'
     raise UserError(
-      f'JAX_PLATFORMS={asked} cannot be had here: unset it, or set it to cpu ({why})'
+      f'JAX_PLATFORMS={asked} is not available on this machine: unset it, or set it to cpu ({why})'
     ) from e
 
 

@@ -111,6 +111,7 @@ def start(made, workdir, *, count=1, devices=1, epochs=2, number=None, port=None
   """Starts a process of a training: all of it, or one of `count`."""
   command = [sys.executable, str(PROGRAM), '--network=shape', f'--data={made}']
   command += [f'--workdir={workdir}', f'--epochs={epochs}', '--batch_size=4', '--dtype=float32']
+  command += ['--learning_rate=1e-5']  # Adam turns rounding of small gradients into whole steps
   command += ['--validate_every=1', '--log_every=1', '--checkpoint_every=0']
   if count > 1:
     command += [f'--coordinator=localhost:{port}', f'--num_processes={count}']
@@ -153,7 +154,7 @@ def test_two_processes_train_as_two_devices_of_one(made, tmp_path):
   outputs = finish(*start_all(made, tmp_path / 'two'))
   finish(start(made, tmp_path / 'one', devices=2))
   assert [o.count('steps 0 to 8 of 8') for o in outputs] == [1, 0]
-  np.testing.assert_allclose(numbers(tmp_path / 'two'), numbers(tmp_path / 'one'), rtol=2e-3)
+  np.testing.assert_allclose(numbers(tmp_path / 'two'), numbers(tmp_path / 'one'), rtol=5e-4)
   # Checkpoints move between numbers of processes.
   finish(start(made, tmp_path / 'two', devices=1, epochs=3))
   assert checkpoint.latest_step(str(tmp_path / 'two')) == 12
