@@ -179,7 +179,7 @@ def load_network(workdir: str, *kinds: str) -> tuple[dict[str, Any], dict[str, A
 
   Args:
     workdir: the run's folder.
-    *kinds: accepted kinds of networks; any by default.
+    *kinds: the accepted kinds of networks.
 
   Returns:
     (config, variables): the run's settings, and {'params', 'batch_stats'} of its newest checkpoint

@@ -54,7 +54,7 @@ def load(
 
   Args:
     workdir: the run's folder.
-    *kinds: accepted kinds of networks; any by default.
+    *kinds: the accepted kinds of networks.
     image_size: size of the views, pixels.
     grid_size: size of the volumes.
 

@@ -117,7 +117,7 @@ def reconstruct_all(
   shape, color = infer.load(shape_workdir, 'shape'), infer.load(color_workdir, 'color')
   known = photos.known_categories(*map(checkpoint.read_config, (shape_workdir, color_workdir)))
   if known:
-    print(f'the networks know {", ".join(known)}, and nothing else')
+    print(f'the networks know only {", ".join(known)}')
   failures = 0
   for path in tqdm(masks, unit='picture', disable=None):
     start = time.perf_counter()

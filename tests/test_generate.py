@@ -191,7 +191,7 @@ def test_splits_from_files(meshes, tmp_path):
   listed, note = plan.keep_listed(models, str(tmp_path), None)
   assert [(m.id, m.split) for m in listed] == [('broken', 'val'), ('c', 'test')]
   assert note.endswith(
-    ': 2 models listed and there, 1 listed but not there, 1 there but not listed (left out)'
+    ': 2 models listed and found, 1 listed but not found, 1 found but not listed (left out)'
   )
   assert plan.keep_listed(models, str(tmp_path), 1)[0] == listed[:1]
   assert [m.split for m in plan.plan(listed, 'meshes')] == ['val', 'test']
@@ -227,7 +227,7 @@ def test_the_program_ends_bad_input_with_one_line(tmp_path):
   'change, message',
   [
     (['--category='], 'no category'),
-    (['--category=box,box'], 'twice'),
+    (['--category=box,box'], 'repeats a category'),
     (['--category=box,chair'], 'has no subfolder box'),
     (['--output=/proc/cvn'], '/proc/cvn'),
   ],
@@ -359,6 +359,7 @@ def test_memory_that_ends_while_a_record_is_written(generated, monkeypatch):
     raise MemoryError
 
   monkeypatch.setattr(dataset_lib, 'write_record', full)
+  monkeypatch.setattr(dataset_lib, 'check_size', lambda *_: None)
   monkeypatch.setattr(pipeline, '_make', lambda job: (None, None))
   job = Job(str(generated[1]), 1, None, '', Settings(), 60.0)
   assert pipeline.run_job(job).reason == pipeline.NO_MEMORY

@@ -77,7 +77,7 @@ def test_pale_objects_on_pale_grounds_are_found_and_doubted(difference):
 def test_enclosed_gaps_are_ground():
   found = ground.find_object(paint(240, chair(stretcher=True)))
   np.testing.assert_array_equal(found.mask, chair(stretcher=True))
-  assert found.warnings == ('has 1 enclosed areas in the colour of its ground: taken as gaps',)
+  assert found.warnings == ('has 1 enclosed areas in the colour of its background: taken as gaps',)
 
 
 def test_a_highlight_is_no_gap():
@@ -95,7 +95,7 @@ def test_wall_and_floor():
   strips = np.where((V < 130)[..., None], (225, 225, 222), (170, 165, 160))
   found = ground.find_object(paint(strips, chair()))
   assert iou(found.mask, chair()) > 0.97
-  assert found.warnings == ('has a ground in two parts (wall and floor?): both are left out',)
+  assert found.warnings == ('has a background in two parts (wall and floor?): both are left out',)
 
 
 def test_a_hard_shadow_is_a_doubt():

@@ -68,7 +68,7 @@ def test_a_rectangle_without_an_object_inside_is_the_object():
   rgba[30:90, 40:120] = (10, 20, 30, 255)
   found = masks.find_mask(rgba, 'a.png')
   assert found.source == 'alpha' and (found.alpha > 0).sum() == 60 * 80
-  assert 'leaves a rectangle' in found.warnings[0]
+  assert 'the shape of a rectangle' in found.warnings[0]
 
 
 def test_glass_is_made_opaque_with_a_doubt():
@@ -98,7 +98,7 @@ def test_rembg_comes_before_grabcut_and_both_are_doubted(monkeypatch):
   monkeypatch.setattr(matting, 'by_rembg', lambda rgb: disc())
   monkeypatch.setattr(matting, 'by_grabcut', lambda rgb: pytest.fail('not needed'))
   found = masks.find_mask(busy(), 'a.png')
-  assert found.source == 'rembg' and 'guessed by rembg' in found.warnings[0]
+  assert found.source == 'rembg' and 'rembg guessed the object' in found.warnings[0]
   np.testing.assert_array_equal(found.alpha, 255 * disc())
   monkeypatch.setattr(matting, 'by_rembg', lambda rgb: None)
   monkeypatch.setattr(matting, 'by_grabcut', lambda rgb: disc())
@@ -113,7 +113,7 @@ def test_without_an_answer_the_error_says_what_is_missing_and_what_to_give(monke
   monkeypatch.setattr(matting, 'by_grabcut', lambda rgb: None)
   with pytest.raises(UserError, match='rembg is not installed') as e:
     masks.find_mask(busy(), 'a.png')
-  assert '--mask=FILE' in str(e.value) and 'plain ground' in str(e.value)
+  assert '--mask=FILE' in str(e.value) and 'plain background' in str(e.value)
 
 
 @pytest.mark.parametrize('size', [(12, 16), (1500, 2000)])

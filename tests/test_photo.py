@@ -137,7 +137,7 @@ def test_enclosed_ground_colour_is_a_gap_and_a_doubt(tmp_path):
   found = photo.load_photo(path)
   assert (found.mask[50:60, 60:80] == 0).all() and (found.mask > 0).sum() == 60 * 120 - 200
   (warning,) = found.warnings
-  assert warning.startswith(path) and 'enclosed areas in the colour of its ground' in warning
+  assert warning.startswith(path) and 'enclosed areas in the colour of its background' in warning
 
 
 def test_object_may_touch_the_border(tmp_path):
@@ -207,7 +207,7 @@ def test_a_mask_overrides_everything(tmp_path):
 
 def test_masks_that_do_not_fit(tmp_path):
   path = _save(tmp_path, _picture())
-  with pytest.raises(UserError, match=r'mask\.png has 300 x 199 pixels, its picture 300 x 200'):
+  with pytest.raises(UserError, match=r'mask\.png has 300 x 199 pixels, its image 300 x 200'):
     photo.load_photo(path, mask=_save(tmp_path, np.ones((199, 300), np.uint8), 'mask.png'))
   with pytest.raises(UserError, match=r'empty\.png selects nothing'):
     photo.load_photo(path, mask=_save(tmp_path, np.zeros((200, 300), np.uint8), 'empty.png'))
@@ -216,7 +216,7 @@ def test_masks_that_do_not_fit(tmp_path):
 def test_a_busy_background_is_an_error_that_says_what_to_give(tmp_path):
   noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3), np.uint8)
   path = _save(tmp_path, noise)
-  with pytest.raises(UserError, match='nothing tells the object from the background') as e:
+  with pytest.raises(UserError, match='cannot be separated from the background') as e:
     photo.load_view(path)
   assert path in str(e.value) and '--mask=FILE' in str(e.value)
 
@@ -234,10 +234,10 @@ def test_errors_name_the_file_and_the_reason(tmp_path):
     assert str(path) in str(e.value) and '\n' not in str(e.value)
     return str(e.value)
 
-  assert 'no such file' in message(tmp_path / 'missing.png')
+  assert 'does not exist' in message(tmp_path / 'missing.png')
   assert 'cannot be read' in message(tmp_path)  # a folder
   (tmp_path / 'text.png').write_text('hello')
-  assert 'no picture' in message(tmp_path / 'text.png')
+  assert 'not a readable image' in message(tmp_path / 'text.png')
   (tmp_path / 'empty.png').write_bytes(b'')
   assert 'empty file' in message(tmp_path / 'empty.png')
   noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3), np.uint8)
@@ -249,6 +249,6 @@ def test_errors_name_the_file_and_the_reason(tmp_path):
     assert 'cannot be read' in message(tmp_path / f'cut.{suffix}')
   clear = np.zeros((9, 9, 4), np.uint8)
   assert 'transparent' in message(_save(tmp_path, clear, 'clear.png'))
-  assert 'one colour' in message(_save(tmp_path, np.full((9, 9, 3), 7, np.uint8), 'flat.png'))
+  assert 'a single colour' in message(_save(tmp_path, np.full((9, 9, 3), 7, np.uint8), 'flat.png'))
   bomb = _save(tmp_path, Image.new('1', (20_000, 10_000)), 'bomb.png')
   assert 'shrink' in message(bomb)

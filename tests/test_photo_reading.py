@@ -172,7 +172,7 @@ def test_a_black_picture_is_a_doubt(tmp_path):
     (b'<?xml version="1.0"?><SVG width="9"/>', 'SVG', 'PNG'),
     (b'\x76\x2f\x31\x01', 'OpenEXR', 'PNG'),
     (b'\xff\x0a\xfa', 'JPEG XL', 'PNG'),
-    (b'whatever', 'no picture', 'convert it to PNG'),
+    (b'whatever', 'not a readable image', 'convert it to PNG'),
   ],
 )
 def test_other_formats_are_named(tmp_path, start, name, advice):

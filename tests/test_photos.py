@@ -22,14 +22,14 @@ def test_folders_give_their_pictures_by_name(tmp_path):
   other = str(tmp_path / 'notes.txt')
   found = photos.expand_folders([str(tmp_path), other, str(tmp_path / 'a.png')])
   assert found == [*(str(tmp_path / n) for n in ('a.png', 'b.JPG', 'c.heic')), other]
-  with pytest.raises(UserError, match='holds no picture'):
+  with pytest.raises(UserError, match='holds no image'):
     photos.expand_folders([str(tmp_path / 'empty')])
 
 
 def test_one_mask_a_picture_or_none():
   assert photos.assign_masks(['a', 'b'], []) == {'a': None, 'b': None}
   assert photos.assign_masks(['a', 'b'], ['x', 'y']) == {'a': 'x', 'b': 'y'}
-  with pytest.raises(UserError, match='1 files for 2 pictures'):
+  with pytest.raises(UserError, match='1 files for 2 images'):
     photos.assign_masks(['a', 'b'], ['x'])
 
 

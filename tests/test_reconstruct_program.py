@@ -108,7 +108,7 @@ def test_a_folder_with_doubts_and_masks(tmp_path, workdirs, capsys):
     assert (tmp_path / 'out' / name).read_bytes() == (tmp_path / 'again' / name).read_bytes()
   with pytest.raises(UserError, match='overwrite'):
     _run(output=tmp_path / 'out', **given)
-  with pytest.raises(UserError, match='1 files for 2 pictures'):
+  with pytest.raises(UserError, match='1 files for 2 images'):
     _run(output=tmp_path / 'x', **given | {'image': tmp_path / 'in'})
 
 

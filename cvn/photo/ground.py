@@ -103,14 +103,16 @@ def _find(image):
   mask |= ndimage.binary_closing(mask, np.ones((3, 3)), 3) & (difference > max(tolerance, traces))
   warnings = doubts(mask)
   if len(grounds) > 1:
-    warnings.append('has a ground in two parts (wall and floor?): both are left out')
+    warnings.append('has a background in two parts (wall and floor?): both are left out')
   if gaps:
-    warnings.append(f'has {gaps} enclosed areas in the colour of its ground: taken as gaps')
+    warnings.append(f'has {gaps} enclosed areas in the colour of its background: taken as gaps')
   edge = mask & ~ndimage.binary_erosion(mask, border_value=1)
   if edge.any() and np.percentile(near[edge], 25) < 12:
-    warnings.append('shows an object that hardly differs from its ground: parts may be missing')
+    warnings.append('shows an object that hardly differs from its background: parts may be missing')
   if _may_be_shadow(image, mask, extend(calm, ground), noise):
-    warnings.append("shows a dark part in its ground's hue below the object: it may be a shadow")
+    warnings.append(
+      "shows a dark part in its background's hue below the object: it may be a shadow"
+    )
   return Found(mask, tuple(warnings), bool(share >= _SURE))
 
 

@@ -85,7 +85,9 @@ def _from_alpha(rgba, path):
       whole = np.zeros_like(alpha)
       whole[rows, columns] = np.minimum(inner.alpha, alpha[box])
       return inner._replace(alpha=whole)
-    warnings.append('has an alpha channel that leaves a rectangle: all of it is the object')
+    warnings.append(
+      'has an alpha channel in the shape of a rectangle: all of it is taken as the object'
+    )
   # Soft shadows and the noise of matting networks go; the soft edge stays.
   edge = ndimage.binary_dilation(solid, np.ones((3, 3)), 2)
   return Mask(np.where(edge, alpha, np.uint8(0)), 'alpha', (*warnings, *regions.doubts(solid)))
@@ -96,7 +98,7 @@ def _search(rgb, path, *, only_ground=False):
   small = _resize(rgb)
   found = ground.find_object(small)
   if found is not None and not found.mask.any():
-    raise UserError(f'{path} is all one colour: there is nothing to reconstruct')
+    raise UserError(f'{path} is a single colour: there is nothing to reconstruct')
   if found is not None and (found.sure or only_ground):
     if small.size < rgb.size:
       found = _closer(rgb, found)
@@ -114,13 +116,13 @@ def _search(rgb, path, *, only_ground=False):
       continue
     if mask is not None and mask.any():
       mask = regions.without_specks(mask)
-      guess = f'has a busy background: the object was guessed by {name}, see the mask'
+      guess = f'has a busy background: {name} guessed the object, check the mask'
       return _fitted(mask, rgb, name, (guess, *regions.doubts(mask)))
   if found is not None:
     return _fitted(found.mask, rgb, 'ground', found.warnings)
   why = f' ({"; ".join(notes)})' if notes else ''
   raise UserError(
-    f'{path}: nothing tells the object from the background{why}: give a picture on a plain ground,'
+    f'{path}: the object cannot be separated from the background{why}: use a plain background,'
     ' a cut-out (PNG with transparency) or --mask=FILE'
   )
 

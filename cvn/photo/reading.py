@@ -75,7 +75,7 @@ def read_picture(path: str) -> Picture:
       image = _to_8_bits(image, notes)
       rgba = np.asarray(_to_srgb(image, notes))
   except FileNotFoundError as e:
-    raise UserError(f'{path}: there is no such file') from e
+    raise UserError(f'{path} does not exist') from e
   except UserError:
     raise
   except Image.DecompressionBombError as e:
@@ -106,8 +106,8 @@ def read_mask(path: str, size: tuple[int, int]) -> np.ndarray:
   rgba = read_picture(path).rgba
   if rgba.shape[:2] != tuple(size):
     raise UserError(
-      f'{path} has {rgba.shape[1]} x {rgba.shape[0]} pixels, its picture {size[1]} x {size[0]}:'
-      ' a mask has the size of the upright picture'
+      f'{path} has {rgba.shape[1]} x {rgba.shape[0]} pixels, its image {size[1]} x {size[0]}:'
+      ' a mask must have the size of the upright image'
     )
   opaque = rgba[..., 3].min() == 255
   level = rgba[..., :3].max(-1) if opaque else rgba[..., 3]
@@ -231,10 +231,10 @@ def _explain(path):
   with open(path, 'rb') as f:
     start = f.read(1024)
   if not start:
-    return f'{path} is an empty file, no picture'
+    return f'{path} is an empty file'
   for magic, at, name, advice in _KNOWN:
     if start[at : at + len(magic)] == magic:
       return f'{path} is {name}: {advice}'
   if b'<svg' in start.lower():
     return f'{path} is SVG, a drawing: export it as PNG'
-  return f'{path} is no picture that can be read ({", ".join(FORMATS)}): convert it to PNG'
+  return f'{path} is not a readable image ({", ".join(FORMATS)}): convert it to PNG'

@@ -40,7 +40,7 @@ def expand_folders(paths: Sequence[str]) -> list[str]:
     except OSError as e:
       raise UserError(f'cannot read the folder {path}: {e.strerror}') from e
     if not names:
-      raise UserError(f'the folder {path} holds no picture ({", ".join(SUFFIXES)})')
+      raise UserError(f'the folder {path} holds no image ({", ".join(SUFFIXES)})')
     found += [os.path.join(path, name) for name in names]
   return list(dict.fromkeys(found))
 
@@ -55,8 +55,8 @@ def assign_masks(paths: Sequence[str], masks: Sequence[str]) -> dict[str, str | 
     return dict.fromkeys(paths)
   if len(masks) != len(paths):
     raise UserError(
-      f'--mask names {len(masks)} files for {len(paths)} pictures: give one a picture, in the same'
-      ' order, or none'
+      f'--mask names {len(masks)} files for {len(paths)} images: give one for each image, in the'
+      ' same order, or none'
     )
   return dict(zip(paths, masks, strict=True))
 
