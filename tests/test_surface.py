@@ -207,7 +207,7 @@ def test_capacity_is_the_first_that_holds_all_near_cells(count):
   near = jnp.arange(64).reshape(1, 4, 4, 4) < count
 
   def function(capacity, x, y, z):
-    return jnp.sum(x * x * y) * z, {'capacity': jnp.int32(capacity)}
+    return jnp.sum(x * x * y) * z.astype(x.dtype), {'capacity': jnp.int32(capacity)}
 
   def total(x, y):
     return surface.by_capacity(function, near, x, y, jnp.int32(3))
