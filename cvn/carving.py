@@ -1,11 +1,12 @@
 """Space carving of an estimated shape by the silhouette of its view.
 
 A voxel that projects off the view's silhouette is empty, however sure the network is of it; and
-the ray of a silhouette's pixel must meet the surface, so probabilities are raised along a ray that
-meets too little of it. The azimuth of the view is not known and is estimated from the shape: the
-better the silhouette of the estimate, seen from an azimuth, agrees with the view's, the likelier
-the azimuth. This goes beyond the paper, which uses the camera for the target flows alone (section
-3.3).
+some voxel along the ray of a silhouette's pixel must be occupied, so probabilities are relative to
+the largest one along their ray. Where the network is unsure, this fills the inside of the
+silhouette, but occupancy is the surface: what lies deep inside is emptied again. The azimuth of the
+view is not known and is estimated from the shape: the better the silhouette of the estimate, seen
+from an azimuth, agrees with the view's, the likelier the azimuth. This goes beyond the paper, which
+uses the camera for the target flows alone (section 3.3).
 """
 
 import functools
@@ -24,11 +25,11 @@ SHARPNESS = 30.0
 # The result is at least this share of what the likeliest azimuth alone leaves: thin parts, on which
 # azimuths disagree, would be lost in the mean.
 LIKELIEST = 0.9
-# Probabilities are raised until this many occupied voxels can be expected along a ray. Occupancy is
-# the surface, which a ray meets in front and behind: where an unsure network spreads probability
-# over the inside, enough is expected already, and raising it would fill the inside.
-EXPECTED = 2.0
-MOST = 2.0  # the largest factor, so that nothing likely comes from nothing
+# Floor on the largest probability along a ray: a ray with none above 0.5 is not normalised to 1.
+EVEN = 0.5
+# A voxel lies inside if all voxels as near as this have this share of its value at least; both were
+# chosen on a validation split.
+DEPTH, INSIDE = 2, 0.9
 
 
 @functools.partial(jax.jit, static_argnames='azimuths')
@@ -37,11 +38,11 @@ def carve(
 ) -> jax.Array:
   """Occupancy [B, X, Y, Z] in [0, 1] that agrees with the silhouettes.
 
-  Seen from an azimuth, a voxel that projects off the foreground has 0. The probability of any other
-  voxel is raised until `EXPECTED` occupied voxels can be expected along its ray, the largest
-  probability there is 1, or the factor is `MOST`; the ray of a voxel is all that projects to its
-  pixel and the eight around it. The result is the mean over the azimuths, weighted by
-  `azimuth_weights`, or 0.9 of the likeliest azimuth's value if that is more.
+  Seen from an azimuth, a voxel that projects off the foreground has 0, any other its probability
+  divided by the largest one that projects to its pixel or the pixels around it, or by 0.5 if that
+  is more. From this follows the mean over the azimuths, weighted by `azimuth_weights`, or 0.9 of
+  the likeliest azimuth's value if that is more. A voxel that lies inside, where the cube of 5^3
+  voxels around it has nothing below 0.9 of its value, gets 0.
 
   Args:
     probability: [B, X, Y, Z] of being occupied.
@@ -55,7 +56,9 @@ def carve(
   def add(found, seen):
     mean, best = found
     pixels, weights, likeliest = seen
-    explained = probability * _look_up(_raise(probability, pixels, foreground), pixels, probability)
+    largest = _draw(probability, pixels, foreground.shape[1:])
+    largest = _window(largest, -jnp.inf, jax.lax.max)
+    explained = probability / jnp.maximum(_look_up(largest, pixels, probability), EVEN)
     left = jnp.where(_look_up(foreground, pixels, probability), explained, 0)
     mean = mean + weights[:, None, None, None] * left
     return (mean, jnp.where(likeliest[:, None, None, None], left, best)), None
@@ -65,7 +68,8 @@ def carve(
   likeliest = jax.nn.one_hot(jnp.argmax(weights, axis=0), len(weights), axis=0, dtype=bool)
   none = jnp.zeros_like(probability)
   (mean, best), _ = jax.lax.scan(add, (none, none), (pixels, weights, likeliest))
-  return jnp.maximum(mean, LIKELIEST * best)
+  carved = jnp.maximum(mean, LIKELIEST * best)
+  return jnp.where(_least_around(carved) < INSIDE * carved, carved, 0)
 
 
 @functools.partial(jax.jit, static_argnames='azimuths')
@@ -88,17 +92,11 @@ def azimuth_weights(
   return _weigh(probability, foreground, _project(probability, foreground, azimuths)).T
 
 
-def _raise(probability, pixels, foreground):
-  """By what factor probabilities are raised along the rays of all pixels, [B, H, W]."""
-  values = probability.reshape(len(probability), -1)
-  none = jnp.zeros(foreground.shape, probability.dtype)
-  largest = _window(none.at[:, *pixels].max(values), -jnp.inf, jax.lax.max)
-  total = _window(none.at[:, *pixels].add(values), 0.0, jax.lax.add)
-  # Several columns of voxels project to the nine pixels: each covers a square of this side.
-  side = foreground.shape[1] / (2 * camera.HALF_WIDTH * camera.DISTANCE) / probability.shape[1]
-  expected = total * side**2 / 9
-  enough = jnp.maximum(EXPECTED / jnp.maximum(expected, 1e-6), 1)
-  return jnp.minimum(jnp.minimum(1 / jnp.maximum(largest, 1e-6), enough), MOST)
+def _least_around(volume):
+  """The smallest value within DEPTH voxels along every axis; 0 outside the grid."""
+  padded = jnp.pad(volume, [(0, 0), *[(DEPTH, DEPTH)] * 3])
+  window = (1, *[2 * DEPTH + 1] * 3)
+  return jax.lax.reduce_window(padded, jnp.inf, jax.lax.min, window, (1,) * 4, 'VALID')
 
 
 def _weigh(probability, foreground, pixels):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cvn import camera, carving, grid, metrics
 
@@ -64,51 +65,51 @@ def test_what_lies_outside_the_silhouette_goes_and_all_else_stays(masks):
 
 def test_the_silhouette_is_explained_by_what_is_likeliest_along_the_ray(masks):
   true = make_object()
-  true[7:10, 12:27, 10:14] = False  # a thin post
-  view = draw(true, AZIMUTHS[2])[None]
   estimate = true.astype(np.float32)
   post = np.zeros_like(true)
-  post[6, 12:27, 10:14] = True
-  estimate[post] = 0.5  # the network is not sure of it, but nothing else is there
-  estimate[11:14, 12:27, 10:14] = 0.1  # and less of what is beside it
-  found = np.asarray(carving.carve(estimate[None], view, azimuths=AZIMUTHS))[0]
-  assert found[post].mean() > 0.8
-  assert found[estimate == np.float32(0.1)].max() < 0.25
+  post[6:10, 12:27, 10:14] = True
+  estimate[post] = 0.6  # the network is not sure of it, but nothing else is there
+  estimate[11:14, 12:27, 10:14] = 0.3  # and less of what is beside it
+  found = np.asarray(carving.carve(estimate[None], masks[2:3], azimuths=AZIMUTHS))[0]
+  assert found[post].mean() > 0.75
+  assert found[estimate == np.float32(0.3)].max() < 0.6
 
 
-def test_what_an_unsure_network_spreads_over_the_inside_does_not_fill_it(masks):
-  """Occupancy is the surface: a block of even doubt stays doubtful all through."""
+def test_what_an_unsure_network_spreads_over_the_inside_does_not_fill_it():
+  """Occupancy is the surface: of a block of nearly even doubt, walls stay, and nothing inside."""
   true = np.zeros((SIZE,) * 3, bool)
   true[6:26, 6:26, 8:24] = True
-  estimate = np.where(true, np.float32(0.45), 0)
-  found = np.asarray(
-    carving.carve(estimate[None], draw(true, AZIMUTHS[1])[None], azimuths=AZIMUTHS)
-  )[0]
+  doubt = np.random.default_rng(0).uniform(0.44, 0.46, true.shape).astype(np.float32)
+  estimate = np.where(true, doubt, 0)
+  view = draw(true, AZIMUTHS[1])[None]
+  found = np.asarray(carving.carve(estimate[None], view, azimuths=AZIMUTHS[1:2]))[0]
   inside = np.zeros_like(true)
-  inside[9:23, 9:23, 11:21] = True
-  assert found[inside].max() < 0.5
+  inside[8:24, 8:24, 10:22] = True
+  assert (found[inside] == 0).all()
+  assert found[true & ~inside].mean() > 0.7
 
 
-@pytest.mark.parametrize('azimuth', [0, 45])
-@pytest.mark.parametrize('walls', [(8, 20), (8, 14, 20)])
-def test_probabilities_are_raised_until_two_voxels_are_expected_along_a_ray(azimuth, walls):
+def test_a_thin_surface_has_no_inside():
   estimate = np.zeros((1, SIZE, SIZE, SIZE), np.float32)
-  estimate[:, 4:28, 4:28, walls] = 0.4
+  estimate[:, 4:28, 4:28, 8:12] = 0.9  # a wall of four voxels
+  estimate[:, 4:28, 4:28, 18] = 0.6
   foreground = np.ones((1, IMAGE, IMAGE), bool)
-  found = np.asarray(carving.carve(estimate, foreground, azimuths=(azimuth,)))[0]
-  met = len(walls) / np.cos(np.deg2rad(azimuth))  # voxels of walls along a ray
-  expected = 0.4 * np.clip(2 / (0.4 * met), 1, 2)
-  assert np.median(found[12:20, 12:20, walls]) == pytest.approx(expected, rel=0.15)
+  found = np.asarray(carving.carve(estimate, foreground, azimuths=AZIMUTHS))
+  assert (found >= estimate - 1e-6).all()
 
 
 def test_a_view_that_is_all_foreground_carves_nothing():
   probability = np.random.default_rng(0).random((2, SIZE, SIZE, SIZE), np.float32)
   foreground = np.ones((2, IMAGE, IMAGE), bool)
   found = np.asarray(carving.carve(probability, foreground, azimuths=AZIMUTHS))
-  assert (found >= probability - 1e-6).all() and found.max() <= 1 + 1e-6
+  kept = found >= probability - 1e-6
+  assert found.max() <= 1 + 1e-6
+  # All that goes is what is about the smallest within two voxels: the inside of something.
+  least = ndimage.minimum_filter(probability, (1, 5, 5, 5), mode='constant')
+  assert (kept | (found == 0)).all() and (least >= 0.85 * probability)[~kept].all()
   # Where nothing is likely, nothing becomes so.
-  found = carving.carve(0.01 * probability, foreground, azimuths=AZIMUTHS)
-  np.testing.assert_allclose(found, 0.02 * probability, atol=1e-6)
+  found = carving.carve(0.3 * probability, foreground, azimuths=AZIMUTHS)
+  np.testing.assert_allclose(found, np.where(kept, 0.6 * probability, 0), atol=2e-2)
 
 
 def test_a_shape_nobody_is_sure_of_counts_every_azimuth_alike(masks):

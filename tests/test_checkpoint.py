@@ -128,9 +128,9 @@ def damage(workdir, step, keep):
 def test_damaged_checkpoint(workdir, keep):
   checkpoint.save(workdir, make_state(5), {})
   damage(workdir, 5, keep)
-  with pytest.raises(UserError, match=r'checkpoints/5 is damaged \(.+\): remove it'):
+  with pytest.raises(UserError, match=r'checkpoints/5 is damaged \(.+\): --restore=last_good'):
     checkpoint.load_network(workdir, 'shape')
-  with pytest.raises(UserError, match=r'checkpoints/5 is damaged \(.+\): remove it'):
+  with pytest.raises(UserError, match=r'checkpoints/5 is damaged \(.+\): --restore=last_good'):
     checkpoint.restore(workdir, make_state(0))
 
 

@@ -204,7 +204,7 @@ def test_off_and_stl_are_grey(tmp_path):
     ('a.glb', b'glTF rubbish', 'cannot be read as GLB'),
     ('a.gltf', b'{"asset": {', 'cannot be read as GLTF'),
     ('a.ply', b'ply\nformat ascii 1.0\nelement vertex 3\n', 'a.ply'),
-    ('a.dae', b'<html></html>', 'no COLLADA'),
+    ('a.dae', b'<html></html>', 'not a COLLADA document'),
     ('a.off', b'OFF\n3 1 0\n0 0 0\n', 'holds fewer'),
     ('a.stl', b'solid', 'a.stl'),
   ],

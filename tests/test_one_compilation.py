@@ -34,9 +34,9 @@ def made(monkeypatch):
   [('shape', 'mixed'), pytest.param('color', 'float32', marks=pytest.mark.slow)],
 )
 def test_one_compilation_a_run(made, tmp_path, network, dtype):
-  # Models of different sizes, three steps an epoch, and five views to validate on in twos.
-  splits = ('train',) * 7 + ('val',)
-  synthetic.make_dataset(tmp_path / 'set', 8, splits=splits, azimuths=range(0, 360, 72), **SIZES)
+  # Models of different sizes, three steps an epoch, and five views to validate on in fours.
+  splits = ('train',) * 13 + ('val',)
+  synthetic.make_dataset(tmp_path / 'set', 14, splits=splits, azimuths=range(0, 360, 72), **SIZES)
   for epochs in (2, 4):  # the second run is a resumed one
     arguments = {
       'network': network,
@@ -44,7 +44,7 @@ def test_one_compilation_a_run(made, tmp_path, network, dtype):
       'data': tmp_path / 'set',
       'workdir': tmp_path / 'run',
       'epochs': epochs,
-      'batch_size': 2,
+      'batch_size': 4,
       'validate_every': 1,
     }
     assert program.main([f'--{name}={value}' for name, value in arguments.items()]) == 0

@@ -3,7 +3,7 @@
 trial.py measures in a process of its own. The result is a JSON file in the user's cache, under a
 name that depends on the library, the processor, jaxlib, trial.py and the plain products. A library
 that crashes the trial or computes wrong values is refused, and that is kept too. A trial that does
-not end is not.
+not end is not kept, and neither are kernels that lose on a busy machine: other programs may be why.
 """
 
 import json
@@ -56,7 +56,8 @@ def find(library: pathlib.Path, folder: pathlib.Path) -> Timings:
       found, new = _parse(stored.read_bytes()), False
     except (OSError, ValueError):
       found, new = _run(library), True
-      _store(stored, found)
+      if 'refused' in found or not _is_busy() or not describe_losers(_to_timings(found)):
+        _store(stored, found)
   if 'refused' in found:
     again = f'; remove {stored} for another trial' if stored.exists() else ''
     raise RuntimeError(f'{library.name}: {found["refused"]}{again}')
@@ -94,6 +95,11 @@ def choose_dtype(timings: Timings) -> tuple[str, str]:
   chosen = 'mixed' if totals['mixed'] < 0.95 * totals['float32'] else 'float32'
   listed = ', '.join(f'{totals[d]:.1f} ms in {d}' for d in _DTYPES)
   return chosen, f'small layers take {listed} on this processor'
+
+
+def _is_busy():
+  """Whether more programs compute than there are processors."""
+  return hasattr(os, 'getloadavg') and os.getloadavg()[0] > 1.5 * (os.cpu_count() or 1)
 
 
 def _run(library):
