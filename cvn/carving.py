@@ -93,10 +93,9 @@ def azimuth_weights(
 
 
 def _least_around(volume):
-  """The smallest value within DEPTH voxels along every axis; 0 outside the grid."""
-  padded = jnp.pad(volume, [(0, 0), *[(DEPTH, DEPTH)] * 3])
+  """The smallest value within DEPTH voxels along every axis."""
   window = (1, *[2 * DEPTH + 1] * 3)
-  return jax.lax.reduce_window(padded, jnp.inf, jax.lax.min, window, (1,) * 4, 'VALID')
+  return jax.lax.reduce_window(volume, jnp.inf, jax.lax.min, window, (1,) * 4, 'SAME')
 
 
 def _weigh(probability, foreground, pixels):

@@ -105,7 +105,7 @@ def test_a_view_that_is_all_foreground_carves_nothing():
   kept = found >= probability - 1e-6
   assert found.max() <= 1 + 1e-6
   # All that goes is what is about the smallest within two voxels: the inside of something.
-  least = ndimage.minimum_filter(probability, (1, 5, 5, 5), mode='constant')
+  least = ndimage.minimum_filter(probability, (1, 5, 5, 5), mode='constant', cval=1)
   assert (kept | (found == 0)).all() and (least >= 0.85 * probability)[~kept].all()
   # Where nothing is likely, nothing becomes so.
   found = carving.carve(0.3 * probability, foreground, azimuths=AZIMUTHS)
